@@ -1,0 +1,41 @@
+"""Errors that a user can act on, each with the exit code of the command line.
+
+Exit codes: 0 fine, 1 a defect of ours, 2 wrong usage or YAML, 3 bad data, 4 not converged,
+5 a validation threshold missed, 130 interrupted.
+"""
+
+from __future__ import annotations
+
+
+class GbidError(Exception):
+    """Base of all errors that gbid raises on purpose. Its text names file, field and value and what to do."""
+
+    exit_code = 1
+
+
+class UsageError(GbidError, ValueError):
+    """A wrong argument, option or experiment file."""
+
+    exit_code = 2
+
+
+class DataError(GbidError, ValueError):
+    """Recordings or result files that cannot be used."""
+
+    exit_code = 3
+
+
+class NotConvergedError(GbidError):
+    """A fit asked for by a command did not converge."""
+
+    exit_code = 4
+
+
+class ThresholdError(GbidError):
+    """A validation threshold of the experiment was missed."""
+
+    exit_code = 5
+
+
+class ExtrapolationWarning(UserWarning):
+    """A model is evaluated outside the domain it was identified on."""

@@ -1,0 +1,181 @@
+"""The one data object: sampled signals of one experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import DataError
+from gbid.units import SIGNALS
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Sampled signals of one experiment, in SI units.
+
+    Parameters
+    ----------
+    signals : dict of str to (n_samples, n_channels) array
+        Known names are r, u, p (channels x and y, m), phi (rad) and force (N); a rig of one's own may use
+        others. Arrays are never transposed: samples run down, channels across.
+    sample_time : float
+        Time between samples [s].
+    conditions : dict of str to float, optional
+        What was held during the experiment, e.g. ``{"pressure_bar": 6.0, "speed_rpm": 0.0}``.
+    name : str, optional
+        Name of the recording, used in files, tables and messages.
+    units : dict of str to str, optional
+        Unit of each signal; known signals have their own, others default to ``""``.
+    channels : dict of str to tuple of str, optional
+        Channel names of each signal; known signals have their own, others default to ``"1", "2", ...``.
+    provenance : dict of str to str, optional
+        Where the data come from, kept with the file.
+
+    Raises
+    ------
+    DataError
+        When a signal is not a two-dimensional array of finite numbers, the lengths differ, or the sample
+        time is not positive.
+    """
+
+    signals: Mapping[str, FloatArray]
+    sample_time: float
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    name: str = "recording"
+    units: Mapping[str, str] = field(default_factory=dict)
+    channels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        signals = {name: _checked(self.name, name, values) for name, values in self.signals.items()}
+        if not signals:
+            raise DataError(
+                f"recording {self.name!r}: no signals; give at least one (n_samples, n_channels) array"
+            )
+        lengths = {name: len(values) for name, values in signals.items()}
+        if len(set(lengths.values())) > 1:
+            text = ", ".join(f"{name} {n}" for name, n in lengths.items())
+            raise DataError(f"recording {self.name!r}: signals have different numbers of samples: {text}")
+        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
+            raise DataError(
+                f"recording {self.name!r}: sample_time = {self.sample_time} s; it must be positive"
+            )
+        for key, value in self.conditions.items():
+            if not np.isfinite(value):
+                raise DataError(f"recording {self.name!r}: condition {key} = {value} is not a finite number")
+        units, channels = {}, {}
+        for name, values in signals.items():
+            known, n = SIGNALS.get(name), values.shape[1]
+            default = known.channels if known else tuple(str(i + 1) for i in range(n))
+            units[name] = self.units.get(name, known.unit if known else "")
+            channels[name] = tuple(self.channels.get(name, default))
+            if len(channels[name]) != n:
+                raise DataError(
+                    f"recording {self.name!r}: signal {name!r} has {n} channels, expected {len(channels[name])} "
+                    f"({', '.join(channels[name])}); arrays are (n_samples, n_channels)"
+                )
+        freeze = object.__setattr__
+        freeze(self, "signals", MappingProxyType(signals))
+        freeze(self, "sample_time", float(self.sample_time))
+        freeze(self, "conditions", MappingProxyType({k: float(v) for k, v in self.conditions.items()}))
+        freeze(self, "units", MappingProxyType(units))
+        freeze(self, "channels", MappingProxyType(channels))
+        freeze(self, "provenance", MappingProxyType({k: str(v) for k, v in self.provenance.items()}))
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return len(next(iter(self.signals.values())))
+
+    @property
+    def duration(self) -> float:
+        """Length of the recording [s]."""
+        return self.n_samples * self.sample_time
+
+    @property
+    def time(self) -> FloatArray:
+        """Sample times from zero [s], shape (n_samples,)."""
+        return self.sample_time * np.arange(self.n_samples)
+
+    def signal(self, name: str) -> FloatArray:
+        """Values of one signal, shape (n_samples, n_channels).
+
+        Raises
+        ------
+        DataError
+            When the recording has no such signal.
+        """
+        try:
+            return self.signals[name]
+        except KeyError:
+            raise DataError(
+                f"recording {self.name!r} has no signal {name!r}; it has {', '.join(self.signals)}"
+            ) from None
+
+    def with_signals(self, **signals: npt.ArrayLike) -> Recording:
+        """Return a copy with some signals replaced or added."""
+        return replace(
+            self, signals={**self.signals, **{k: np.asarray(v, float) for k, v in signals.items()}}
+        )
+
+    def slice(self, start: int, stop: int | None = None, name: str | None = None) -> Recording:
+        """Return samples `start` to `stop` (exclusive) as a recording of their own.
+
+        Raises
+        ------
+        DataError
+            When the range is empty or leaves the recording.
+        """
+        stop = self.n_samples if stop is None else stop
+        if not 0 <= start < stop <= self.n_samples:
+            raise DataError(
+                f"recording {self.name!r}: samples {start} to {stop} are not within its {self.n_samples} samples"
+            )
+        signals = {key: values[start:stop] for key, values in self.signals.items()}
+        return replace(self, signals=signals, name=name or self.name)
+
+    # The mappings are read-only views, which pickle refuses: workers get plain dicts.
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in self.__dict__.items()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        for key, value in state.items():
+            object.__setattr__(self, key, MappingProxyType(value) if isinstance(value, dict) else value)
+        for values in self.signals.values():
+            values.setflags(write=False)
+
+
+def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
+    """Return a read-only float array after the checks of one signal."""
+    where = f"recording {recording!r}: signal {signal!r}"
+    try:
+        array = np.array(values, dtype=float)  # a copy: the caller's array stays writable
+    except (TypeError, ValueError):
+        raise DataError(f"{where} is not an array of numbers") from None
+    if array.ndim != 2:
+        raise DataError(
+            f"{where} has shape {array.shape}; give (n_samples, n_channels), one channel as (n_samples, 1)"
+        )
+    if 0 in array.shape:
+        raise DataError(f"{where} is empty: shape {array.shape}")
+    if array.shape[0] < array.shape[1]:
+        raise DataError(
+            f"{where} has shape {array.shape}: more channels than samples; arrays are (n_samples, n_channels), "
+            "transpose it yourself if it is stored the other way"
+        )
+    if not np.isfinite(array).all():
+        row, column = np.argwhere(~np.isfinite(array))[0]
+        count = int((~np.isfinite(array)).sum())
+        raise DataError(
+            f"{where} holds {count} values that are not finite, the first {array[row, column]} at sample {row}, "
+            f"channel {column}; leave those samples out or repair them"
+        )
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,83 @@
+"""Signals of the test rig, their SI units, and conversion at the edges of the program.
+
+Inside gbid every number is SI, except the two scheduling variables, which keep the units of the
+field and say so in their names: ``pressure_bar`` and ``speed_rpm``.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, NamedTuple
+
+from gbid.errors import UsageError
+
+
+class SignalKind(NamedTuple):
+    """What a known signal name means.
+
+    Attributes
+    ----------
+    unit : str
+        SI unit.
+    long_name : str
+        What it is, in words, for files and labels.
+    channels : tuple of str
+        Names of its channels.
+    """
+
+    unit: str
+    long_name: str
+    channels: tuple[str, ...]
+
+
+SIGNALS: dict[str, SignalKind] = {
+    "r": SignalKind("m", "piezo position reference", ("x", "y")),
+    "u": SignalKind("m", "difference of piezo positions", ("x", "y")),
+    "p": SignalKind("m", "lateral disc position", ("x", "y")),
+    "phi": SignalKind("rad", "shaft angle", ("phi",)),
+    "force": SignalKind("N", "impact force", ("force",)),
+}
+"""The signals of the test rig (paper, Secs. 2 and 3.4)."""
+
+
+@cache
+def _registry() -> Any:
+    import pint  # at the edge only: a heavy import
+
+    return pint.UnitRegistry()
+
+
+def conversion_factor(unit: str, target: str) -> float:
+    """Factor by which a number in `unit` is multiplied to be in `target`.
+
+    Parameters
+    ----------
+    unit, target : str
+        Units as pint writes them: ``"um"``, ``"m"``, ``"deg"``, ``"V"``; ``""`` has no dimension.
+
+    Returns
+    -------
+    float
+        The factor.
+
+    Raises
+    ------
+    UsageError
+        When a unit is unknown, the two do not measure the same thing, or the scale has an offset (degC).
+    """
+    if unit == target:
+        return 1.0
+    import pint
+
+    registry = _registry()
+    try:
+        zero, one = (
+            registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0)
+        )
+    except (pint.UndefinedUnitError, pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
+        raise UsageError(f"unit {unit!r} cannot be converted to {target!r}: {error}") from None
+    except Exception as error:  # pint's parser lets tokeniser errors through
+        raise UsageError(f"unit {unit!r} is not a unit: {error}") from None
+    if zero != 0.0:
+        raise UsageError(f"unit {unit!r} has an offset against {target!r}; convert the data first")
+    return float(one)
