@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 import numpy.typing as npt
 
 from gbid._version import __version__
@@ -28,9 +29,13 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
     UsageError
         When `path` exists and `overwrite` is not set; nothing is touched then.
     DataError
-        When the folder cannot be written.
+        When the folder or the file cannot be written.
     """
-    if path.exists() and not overwrite:
+    try:
+        exists = path.exists()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
+    if exists and not overwrite:
         raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -82,27 +87,30 @@ def reading(path: str | Path, kind: str) -> Iterator[h5py.File]:
     Raises
     ------
     DataError
-        When the file is missing, no HDF5, truncated, of another kind or of a newer schema, or lacks an entry
-        that is read inside the block.
+        When the file is missing, no HDF5, truncated, of another kind or schema, or lacks an entry that is
+        read inside the block.
     """
     path = Path(path)
-    if not path.is_file():
-        raise DataError(f"{path}: no such file")
+    try:
+        if not path.is_file():
+            raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     try:
         with h5py.File(path, "r") as file:
             found = file.attrs.get("gbid_kind")
-            if found != kind:
+            if not isinstance(found, str) or found != kind:
+                other = found if isinstance(found, str) else "an HDF5 file of another program"
+                raise DataError(f"{path}: expected a gbid {kind} file, found {other}")
+            version = file.attrs.get("schema_version", "missing")
+            if np.ndim(version) != 0 or version != SCHEMA_VERSION:
                 raise DataError(
-                    f"{path}: expected a gbid {kind} file, found {found or 'an HDF5 file of another program'}"
+                    f"{path}: schema_version {version}; this gbid reads {SCHEMA_VERSION}, "
+                    "so read the file with the gbid that wrote it"
                 )
-            version = int(file.attrs.get("schema_version", 0))
-            if version != SCHEMA_VERSION:
-                raise DataError(f"{path}: schema_version {version}; this gbid reads {SCHEMA_VERSION}")
             yield file
-    except OSError as error:
-        raise DataError(
-            f"{path}: not a readable HDF5 file (truncated or of another format): {error}"
-        ) from None
+    except (OSError, RuntimeError) as error:  # h5py raises either for a damaged file
+        raise DataError(f"{path}: not a readable HDF5 file (truncated or of another format): {error}") from None
     except KeyError as error:
         raise DataError(f"{path}: incomplete {kind} file: {error.args[0] if error.args else error}") from None
 
@@ -115,3 +123,34 @@ def add_dataset(
     dataset.attrs["units"] = unit
     dataset.attrs["long_name"] = long_name
     return dataset
+
+
+def read_dataset(group: h5py.Group, name: str) -> npt.NDArray[Any]:
+    """Values of one numeric dataset, any shape.
+
+    Raises
+    ------
+    DataError
+        When there is no dataset of that name, or it does not hold real numbers.
+    """
+    where = f"{group.file.filename}: {group.name.rstrip('/')}/{name}"
+    found = group.get(name)
+    if not isinstance(found, h5py.Dataset):
+        raise DataError(f"{where} is missing" if found is None else f"{where} is a group, not a dataset")
+    if found.dtype.kind not in "fiub" or found.shape is None:
+        raise DataError(f"{where} holds {found.dtype}, not numbers")
+    values: npt.NDArray[Any] = np.asarray(found[()])
+    return values
+
+
+def read_attribute(item: h5py.HLObject, name: str) -> Any:
+    """Value of one attribute of a file, group or dataset.
+
+    Raises
+    ------
+    DataError
+        When it is missing.
+    """
+    if name not in item.attrs:
+        raise DataError(f"{item.file.filename}: {item.name} has no attribute {name!r}")
+    return item.attrs[name]

@@ -71,13 +71,12 @@ def conversion_factor(unit: str, target: str) -> float:
 
     registry = _registry()
     try:
-        zero, one = (
-            registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0)
-        )
+        zero, one = (registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0))
     except (pint.UndefinedUnitError, pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise UsageError(f"unit {unit!r} cannot be converted to {target!r}: {error}") from None
     except Exception as error:  # pint's parser lets tokeniser errors through
-        raise UsageError(f"unit {unit!r} is not a unit: {error}") from None
+        text = f"unit {unit!r} cannot be converted to {target!r}: not written as a unit"
+        raise UsageError(f"{text} ({error})" if str(error) else text) from None
     if zero != 0.0:
         raise UsageError(f"unit {unit!r} has an offset against {target!r}; convert the data first")
     return float(one)

@@ -1,5 +1,18 @@
-"""Recordings: the data object, its HDF5 store, and importers of other formats."""
+"""Recordings: the data object, its HDF5 store, importers, and checks of their quality."""
 
+from gbid.recording.importers import ImportMapping, SignalMapping, import_recording
+from gbid.recording.quality import SignalProblem, find_problems
 from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.store import load_recording, save_recording
 
-__all__ = ["FloatArray", "Recording"]
+__all__ = [
+    "FloatArray",
+    "ImportMapping",
+    "Recording",
+    "SignalMapping",
+    "SignalProblem",
+    "find_problems",
+    "import_recording",
+    "load_recording",
+    "save_recording",
+]

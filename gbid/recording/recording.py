@@ -34,7 +34,8 @@ class Recording:
     units : dict of str to str, optional
         Unit of each signal; known signals have their own, others default to ``""``.
     channels : dict of str to tuple of str, optional
-        Channel names of each signal; known signals have their own, others default to ``"1", "2", ...``.
+        Channel names of each signal; known signals of their usual width have their own, others default to
+        ``"1", "2", ...``.
     provenance : dict of str to str, optional
         Where the data come from, kept with the file.
 
@@ -54,32 +55,33 @@ class Recording:
     provenance: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        for key in (*self.signals, *self.conditions):
+            _check_key(self.name, key)
         signals = {name: _checked(self.name, name, values) for name, values in self.signals.items()}
         if not signals:
-            raise DataError(
-                f"recording {self.name!r}: no signals; give at least one (n_samples, n_channels) array"
-            )
+            raise DataError(f"recording {self.name!r}: no signals; give at least one (n_samples, n_channels) array")
         lengths = {name: len(values) for name, values in signals.items()}
         if len(set(lengths.values())) > 1:
             text = ", ".join(f"{name} {n}" for name, n in lengths.items())
             raise DataError(f"recording {self.name!r}: signals have different numbers of samples: {text}")
-        if not (np.isfinite(self.sample_time) and self.sample_time > 0):
+        if not (_is_finite(self.sample_time) and self.sample_time > 0):
             raise DataError(
-                f"recording {self.name!r}: sample_time = {self.sample_time} s; it must be positive"
+                f"recording {self.name!r}: sample_time = {self.sample_time!r} s; it must be a positive number"
             )
         for key, value in self.conditions.items():
-            if not np.isfinite(value):
-                raise DataError(f"recording {self.name!r}: condition {key} = {value} is not a finite number")
+            if not _is_finite(value):
+                raise DataError(f"recording {self.name!r}: condition {key} = {value!r} is not a finite number")
         units, channels = {}, {}
         for name, values in signals.items():
             known, n = SIGNALS.get(name), values.shape[1]
-            default = known.channels if known else tuple(str(i + 1) for i in range(n))
+            default = known.channels if known and len(known.channels) == n else tuple(str(i + 1) for i in range(n))
             units[name] = self.units.get(name, known.unit if known else "")
             channels[name] = tuple(self.channels.get(name, default))
             if len(channels[name]) != n:
+                names = ", ".join(channels[name])
                 raise DataError(
-                    f"recording {self.name!r}: signal {name!r} has {n} channels, expected {len(channels[name])} "
-                    f"({', '.join(channels[name])}); arrays are (n_samples, n_channels)"
+                    f"recording {self.name!r}: signal {name!r} has {n} channels, "
+                    f"expected {len(channels[name])} ({names}); arrays are (n_samples, n_channels)"
                 )
         freeze = object.__setattr__
         freeze(self, "signals", MappingProxyType(signals))
@@ -102,7 +104,7 @@ class Recording:
     @property
     def time(self) -> FloatArray:
         """Sample times from zero [s], shape (n_samples,)."""
-        return self.sample_time * np.arange(self.n_samples)
+        return np.asarray(self.sample_time * np.arange(self.n_samples), dtype=np.float64)
 
     def signal(self, name: str) -> FloatArray:
         """Values of one signal, shape (n_samples, n_channels).
@@ -121,9 +123,7 @@ class Recording:
 
     def with_signals(self, **signals: npt.ArrayLike) -> Recording:
         """Return a copy with some signals replaced or added."""
-        return replace(
-            self, signals={**self.signals, **{k: np.asarray(v, float) for k, v in signals.items()}}
-        )
+        return replace(self, signals={**self.signals, **{k: np.asarray(v, float) for k, v in signals.items()}})
 
     def slice(self, start: int, stop: int | None = None, name: str | None = None) -> Recording:
         """Return samples `start` to `stop` (exclusive) as a recording of their own.
@@ -152,30 +152,49 @@ class Recording:
             values.setflags(write=False)
 
 
+def _is_finite(value: object) -> bool:
+    """Whether a value is one finite number: a float, an int, or a numpy scalar or 0-d array of them."""
+    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
+        return False
+    return bool(np.isfinite(value))  # type: ignore[call-overload]
+
+
+def _check_key(recording: str, key: object) -> None:
+    """Refuse names that cannot stand in a file beside the others."""
+    if not isinstance(key, str) or not key or "/" in key or key in (".", "time"):
+        raise DataError(
+            f"recording {recording!r}: {key!r} cannot name a signal or condition; give a word without '/', "
+            "other than 'time'"
+        )
+
+
 def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
     """Return a read-only float array after the checks of one signal."""
     where = f"recording {recording!r}: signal {signal!r}"
     try:
-        array = np.array(values, dtype=float)  # a copy: the caller's array stays writable
+        # numpy would drop a mask or an imaginary part and read text as numbers without a word
+        raw = np.ma.filled(values.astype(float), np.nan) if isinstance(values, np.ma.MaskedArray) else values
+        raw = np.asarray(raw)
+        if raw.dtype.kind not in "fiub":
+            raise TypeError(raw.dtype)
+        array = np.array(raw, dtype=float, order="C")  # a copy: the caller's array stays writable
     except (TypeError, ValueError):
-        raise DataError(f"{where} is not an array of numbers") from None
+        raise DataError(f"{where} is not an array of real numbers") from None
     if array.ndim != 2:
-        raise DataError(
-            f"{where} has shape {array.shape}; give (n_samples, n_channels), one channel as (n_samples, 1)"
-        )
+        raise DataError(f"{where} has shape {array.shape}; give (n_samples, n_channels), one channel as (n_samples, 1)")
     if 0 in array.shape:
         raise DataError(f"{where} is empty: shape {array.shape}")
     if array.shape[0] < array.shape[1]:
         raise DataError(
-            f"{where} has shape {array.shape}: more channels than samples; arrays are (n_samples, n_channels), "
-            "transpose it yourself if it is stored the other way"
+            f"{where} has shape {array.shape}: more channels than samples; "
+            "arrays are (n_samples, n_channels), transpose it yourself if it is stored the other way"
         )
     if not np.isfinite(array).all():
         row, column = np.argwhere(~np.isfinite(array))[0]
         count = int((~np.isfinite(array)).sum())
         raise DataError(
-            f"{where} holds {count} values that are not finite, the first {array[row, column]} at sample {row}, "
-            f"channel {column}; leave those samples out or repair them"
+            f"{where} holds {count} values that are not finite, the first {array[row, column]} "
+            f"at sample {row}, channel {column}; leave those samples out or repair them"
         )
     array.setflags(write=False)
     return array

@@ -1,0 +1,85 @@
+"""What all readers share: a column with its unit, and the grammar ``name[3]`` for one column of an array."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.recording.recording import FloatArray
+
+_INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
+
+
+class Column(NamedTuple):
+    """One column of a file.
+
+    Attributes
+    ----------
+    values : array, shape (n_samples,)
+        Its numbers as they stand in the file.
+    unit : str or None
+        The unit that the file itself gives.
+    """
+
+    values: FloatArray
+    unit: str | None = None
+
+
+def split_reference(reference: str) -> tuple[str, int | None]:
+    """Split ``"noise[3]"`` into name and column index, which is None for a bare name."""
+    match = _INDEXED.fullmatch(reference)
+    return (match["name"], int(match["index"])) if match else (reference, None)
+
+
+def pick_column(path: Path, reference: str, value: object, row_vectors: bool = False) -> FloatArray:
+    """Take the one column that a reference names out of its variable.
+
+    Parameters
+    ----------
+    path : path
+        The file, for messages.
+    reference : str
+        ``"name"`` or ``"name[index]"``.
+    value : object
+        The variable of that name.
+    row_vectors : bool
+        Whether a (1, n_samples) array named without index is a vector, as MATLAB stores one. A larger array
+        is never transposed.
+
+    Returns
+    -------
+    array, shape (n_samples,)
+
+    Raises
+    ------
+    DataError
+        When the variable is not an array of real numbers, or the reference does not name one column of it.
+    """
+    name, index = split_reference(reference)
+    where = f"{path}: column {reference!r}:"
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
+        kind = f"an array of {value.dtype}" if isinstance(value, np.ndarray) else f"a {type(value).__name__}"
+        raise DataError(f"{where} {name} is {kind}, not an array of real numbers; save it as plain numbers")
+    shape = value.shape
+    if value.size == 0:
+        raise DataError(f"{where} {name} is empty: shape {shape}")
+    if value.ndim not in (1, 2) or value.size == 1:
+        raise DataError(f"{where} {name} has shape {shape}; expected (n_samples,) or (n_samples, n_channels)")
+    if index is None:
+        if value.ndim == 2 and not (shape[1] == 1 or (row_vectors and shape[0] == 1)):
+            raise DataError(f"{where} {name} has shape {shape}; name one of its columns, e.g. {name}[0]")
+        return np.asarray(value, dtype=float).reshape(-1)
+    if value.ndim == 1:
+        raise DataError(f"{where} {name} has one dimension; leave the index out: {name}")
+    if shape[0] < shape[1]:
+        raise DataError(
+            f"{where} {name} has shape {shape}: more columns than rows; arrays are (n_samples, n_channels), "
+            "transpose it yourself if it is stored the other way"
+        )
+    if index >= shape[1]:
+        raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")
+    return np.array(value[:, index], dtype=float)

@@ -1,0 +1,138 @@
+"""Columns of a csv file: comma, semicolon or tab, names and units in the header line."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.recording.importers.columns import Column
+from gbid.recording.importers.mapping import nearest
+from gbid.recording.recording import FloatArray
+
+_NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
+
+
+def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
+    """Read the named columns of a csv file.
+
+    The first line that is neither empty nor starts with ``#`` is the header; a cell like ``u_x [um]`` or
+    ``u_x (um)`` gives name and unit. A column is named with or without its unit.
+
+    Raises
+    ------
+    DataError
+        When the file is not UTF-8 text, has no header line or ragged rows, a column is unknown or there
+        twice, or a cell of a column asked for is not a number.
+    """
+    lines = _lines(path)
+    if len(lines) < 2:
+        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines")
+    delimiter = _delimiter(lines)
+    try:
+        reader = csv.reader((text for _, text in lines), delimiter=delimiter, skipinitialspace=True, strict=True)
+        header, *rows = reader
+    except csv.Error as error:
+        raise DataError(f"{path}: line {lines[reader.line_num - 1][0]}: not readable as csv: {error}") from None
+    header = [cell.strip() for cell in header]
+    _check_header(path, header)
+    for (number, _), row in zip(lines[1:], rows, strict=False):
+        if len(row) != len(header):
+            raise DataError(f"{path}: line {number} has {len(row)} cells, the header line has {len(header)}")
+    numbers = [number for number, _ in lines[1:]]
+    columns = {}
+    for reference in references:
+        index = _find(path, header, reference)
+        columns[reference] = Column(
+            _numbers(path, header[index], [row[index] for row in rows], numbers), _unit(header[index])
+        )
+    return columns
+
+
+def _lines(path: Path) -> list[tuple[int, str]]:
+    """Lines with content and their numbers from 1, without comments and byte order mark."""
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise DataError(f"{path}: not UTF-8 text (byte {error.start}): export it as csv in UTF-8") from None
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    numbered = enumerate(text.split("\n"), start=1)
+    return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _delimiter(lines: list[tuple[int, str]]) -> str:
+    """Find the delimiter that splits the header and the first row alike, the more cells the better."""
+
+    def cells(delimiter: str, line: str) -> int:
+        return len(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
+
+    def rank(delimiter: str) -> tuple[bool, int]:
+        header, row = (cells(delimiter, text) for _, text in lines[:2])
+        return header == row > 1, header
+
+    return max((",", ";", "\t"), key=rank)
+
+
+def _check_header(path: Path, header: list[str]) -> None:
+    if all(_is_number(cell) for cell in header):
+        raise DataError(
+            f"{path}: no header line: the first line holds numbers only; add a line with the column names "
+            "(without # in front)"
+        )
+    twice = [name for name, count in Counter(header).items() if name and count > 1]
+    if twice:
+        raise DataError(f"{path}: the header line has column {twice[0]!r} more than once; rename one")
+
+
+def _find(path: Path, header: list[str], reference: str) -> int:
+    """Index of a column by its whole header cell or by its name without unit."""
+    if reference in header:
+        return header.index(reference)
+    names = [_name(cell) for cell in header]
+    found = [i for i, name in enumerate(names) if name == reference]
+    if len(found) > 1:
+        cells = ", ".join(repr(header[i]) for i in found)
+        raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole header cell")
+    if not found:
+        raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
+    return found[0]
+
+
+def _name(cell: str) -> str:
+    match = _NAME_UNIT.fullmatch(cell)
+    return match["name"] if match else cell
+
+
+def _unit(cell: str) -> str | None:
+    match = _NAME_UNIT.fullmatch(cell)
+    if not match:
+        return None
+    return (match["square"] if match["square"] is not None else match["round"]).strip()
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell  # Python reads 1_000, other programs do not
+
+
+def _numbers(path: Path, name: str, cells: list[str], lines: list[int]) -> FloatArray:
+    """Turn the cells of one column into numbers."""
+    try:
+        if "_" not in "".join(cells):
+            return np.array([float(cell) for cell in cells])
+    except ValueError:
+        pass
+    row = next(i for i, cell in enumerate(cells) if not _is_number(cell))
+    where = f"{path}: line {lines[row]}, column {name!r}:"
+    if not cells[row].strip():
+        raise DataError(f"{where} the cell is empty; leave those samples out or repair them")
+    hint = "; write decimals with a point" if _is_number(cells[row].replace(",", ".")) else ""
+    raise DataError(f"{where} {cells[row]!r} is not a number{hint}")

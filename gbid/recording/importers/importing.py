@@ -1,0 +1,194 @@
+"""From a foreign file and a mapping to a Recording."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.errors import DataError, UsageError
+from gbid.recording.importers.columns import Column
+from gbid.recording.importers.csv_file import read_csv
+from gbid.recording.importers.mapping import ImportMapping, SignalMapping
+from gbid.recording.importers.mat_file import read_mat
+from gbid.recording.importers.npz_file import read_npz
+from gbid.recording.recording import FloatArray, Recording
+from gbid.units import SIGNALS, conversion_factor
+
+Reader = Callable[[Path, Sequence[str]], dict[str, Column]]
+
+READERS: dict[str, Reader] = {".csv": read_csv, ".npz": read_npz, ".mat": read_mat}
+"""Reader of each file ending."""
+
+MAX_JITTER = 0.01
+"""Deviation of a step from the median step, relative, above which a clock jumps."""
+MAX_DISAGREEMENT = 1e-3
+"""Relative difference allowed between sample_time and the time column."""
+
+
+def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
+    """Read a recording from a csv, npz or mat file.
+
+    Parameters
+    ----------
+    path : path
+        The file; its ending says what it is.
+    mapping : ImportMapping or dict
+        Which column is which signal, in which unit, at which sample time; a dict has the keys of
+        `ImportMapping`, as in an experiment YAML.
+
+    Returns
+    -------
+    Recording
+        Known signals in SI, others in the unit of the file. Its provenance holds ``source_file``,
+        ``source_sha256`` and ``source_samples``.
+
+    Raises
+    ------
+    UsageError
+        When the mapping is malformed or its units do not fit.
+    DataError
+        When the file cannot be read or does not hold what the mapping says; the text names file, column and
+        value.
+    """
+    path = Path(path)
+    reader = _reader(path)
+    try:
+        mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
+    except UsageError as error:
+        raise UsageError(f"import mapping of {path}: {error}") from None
+    try:
+        with path.open("rb") as handle:
+            digest = hashlib.file_digest(handle, "sha256").hexdigest()
+        columns = reader(path, mapping.all_columns())
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+    start, stop = _range(path, mapping, columns)
+    columns = {name: Column(c.values[start:stop], c.unit) for name, c in columns.items()}
+    _check_finite(path, columns, start)
+    sample_time = _sample_time(path, mapping, columns, start)
+    signals, units = {}, {}
+    for name, signal in mapping.signals.items():
+        signals[name], units[name] = _signal(path, name, signal, columns)
+    try:
+        return Recording(
+            signals,
+            sample_time,
+            conditions=mapping.conditions,
+            name=mapping.name or path.stem,
+            units=units,
+            channels={name: s.channels for name, s in mapping.signals.items() if s.channels},
+            provenance={
+                "source_file": path.name,
+                "source_sha256": digest,
+                "source_samples": f"{start} to {stop}",
+            },
+        )
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+
+
+def _reader(path: Path) -> Reader:
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
+        raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(READERS)}")
+    return reader
+
+
+def _range(path: Path, mapping: ImportMapping, columns: dict[str, Column]) -> tuple[int, int]:
+    """First sample and the one after the last, after a check that all columns are of one length."""
+    lengths = {name: len(column.values) for name, column in columns.items()}
+    n = next(iter(lengths.values()))
+    if set(lengths.values()) != {n}:
+        text = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise DataError(f"{path}: columns have different numbers of samples: {text}")
+    start, stop = mapping.samples or (0, None)
+    stop = n if stop is None else stop
+    if not start < stop <= n:
+        raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples")
+    return start, stop
+
+
+def _check_finite(path: Path, columns: dict[str, Column], start: int) -> None:
+    for name, (values, _) in columns.items():
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise DataError(
+                f"{path}: column {name!r} holds {bad.size} values that are not finite, the first "
+                f"{values[bad[0]]} at sample {start + bad[0]}; leave those samples out or repair them"
+            )
+
+
+def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column], start: int) -> float:
+    """Sample time [s] from the mapping, the time column, or both when they agree."""
+    if mapping.time is None:
+        assert mapping.sample_time is not None  # ImportMapping sees to that
+        return mapping.sample_time
+    values, given = columns[mapping.time]
+    unit = _file_unit(path, f"time column {mapping.time!r}", mapping.time_unit, given) or "s"
+    time = values * _factor(path, f"time column {mapping.time!r}", unit, "s")
+    if len(time) < 2:
+        raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    bad = np.flatnonzero((steps <= 0) | (np.abs(steps - median) > MAX_JITTER * abs(median)))
+    if bad.size:
+        k = bad[0]
+        raise DataError(
+            f"{path}: time column {mapping.time!r} jumps at sample {start + k + 1}: step {steps[k]:g} s, "
+            f"median step {median:g} s ({bad.size} such steps); cut them off with samples, or give sample_time "
+            "instead if only the column is rounded"
+        )
+    # twelve digits: the column's own rounding would make equal clocks differ in the last bits
+    mean = float(f"{(time[-1] - time[0]) / len(steps):.12g}")
+    if mapping.sample_time is None:
+        return mean
+    if abs(mean - mapping.sample_time) > MAX_DISAGREEMENT * mapping.sample_time:
+        raise DataError(
+            f"{path}: sample_time = {mapping.sample_time:g} s, but time column {mapping.time!r} has steps of "
+            f"{mean:g} s; correct or leave out one of them"
+        )
+    return mapping.sample_time
+
+
+def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Column]) -> tuple[FloatArray, str]:
+    """Values (n_samples, n_channels) in the unit to be stored, and that unit."""
+    known = SIGNALS.get(name)
+    stored = known.unit if known and signal.stored_unit is None else signal.stored_unit
+    units = {}
+    for column in signal.columns:
+        what = f"signal {name!r}, column {column!r}"
+        unit = _file_unit(path, what, signal.unit, columns[column].unit)
+        if unit is None and stored:
+            raise UsageError(f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored})")
+        units[column] = unit or ""
+    if stored is None:
+        stored = units[signal.columns[0]]
+    values = [
+        columns[c].values * _factor(path, f"signal {name!r}, column {c!r}", units[c], stored) for c in signal.columns
+    ]
+    return np.column_stack(values), stored
+
+
+def _file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
+    """Settle the unit of the file's numbers from mapping and header, which must not contradict each other."""
+    if mapped is None or given is None or mapped == given:
+        return given if mapped is None else mapped
+    try:
+        same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)
+    except UsageError:
+        same = False
+    if not same:
+        raise DataError(f"{path}: {what}: the header says {given!r}, the mapping {mapped!r}; correct one of them")
+    return mapped
+
+
+def _factor(path: Path, what: str, unit: str, target: str) -> float:
+    try:
+        return conversion_factor(unit, target)
+    except UsageError as error:
+        raise UsageError(f"{path}: {what}: {error}") from None

@@ -1,0 +1,204 @@
+"""Which column of a file is which signal, in which unit, at which sample time."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from gbid.errors import UsageError
+
+
+@dataclass(frozen=True)
+class SignalMapping:
+    """Where one signal of a recording comes from.
+
+    Parameters
+    ----------
+    columns : tuple of str
+        Source columns in the order of the channels, one each. In a csv file the names of the header line; in
+        an npz or mat file a variable (``"u_x"``), or one column of an (n_samples, n_channels) array
+        (``"noise[0]"``, counted from 0), within a MATLAB struct by dots (``"data.u[0]"``).
+    unit : str, optional
+        Unit of the numbers in the file. When left out, the unit in the csv header counts.
+    stored_unit : str, optional
+        Unit that the recording shall have. When left out, the SI unit of a known signal
+        (`gbid.units.SIGNALS`), else the unit of the file.
+    channels : tuple of str, optional
+        Names of the channels; when left out those of `Recording`.
+
+    Raises
+    ------
+    UsageError
+        When an entry is not of its type.
+    """
+
+    columns: tuple[str, ...]
+    unit: str | None = None
+    stored_unit: str | None = None
+    channels: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "columns", _words("columns", self.columns))
+        if self.channels is not None:
+            object.__setattr__(self, "channels", _words("channels", self.channels))
+            if len(self.channels) != len(self.columns):
+                raise UsageError(f"{len(self.columns)} columns but {len(self.channels)} channels; give one name each")
+        for key in ("unit", "stored_unit"):
+            _check_text(key, getattr(self, key))
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
+        """Build from a plain dict with the same keys; raises UsageError when one is unknown."""
+        _check_keys(entries, [f.name for f in fields(cls)], needed=["columns"])
+        return cls(**entries)
+
+
+@dataclass(frozen=True)
+class ImportMapping:
+    """What `import_recording` needs to know about a file.
+
+    Parameters
+    ----------
+    signals : dict of str to SignalMapping
+        The signals of the recording by name; plain dicts of the same form are accepted.
+    sample_time : float, optional
+        Time between samples [s].
+    time : str, optional
+        Column that holds the sample times, as in `SignalMapping.columns`. One of `sample_time` and `time`
+        must be given; when both are, they must agree within 0.1 %, and `sample_time` is stored.
+    time_unit : str, optional
+        Unit of the time column. When left out, the unit in the csv header, else ``"s"``.
+    conditions : dict of str to float, optional
+        What was held during the experiment.
+    name : str, optional
+        Name of the recording; the name of the file without its ending by default.
+    samples : tuple of int and (int or None), optional
+        First sample and the one after the last, counted from 0; None is the end of the file.
+
+    Raises
+    ------
+    UsageError
+        When an entry is missing, not of its type, or contradicts another.
+    """
+
+    signals: Mapping[str, SignalMapping]
+    sample_time: float | None = None
+    time: str | None = None
+    time_unit: str | None = None
+    conditions: Mapping[str, float] = field(default_factory=dict)
+    name: str | None = None
+    samples: tuple[int, int | None] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "signals", _signals(self.signals))
+        if not isinstance(self.conditions, Mapping):
+            raise UsageError(f"conditions: expected names with numbers, found {self.conditions!r}")
+        object.__setattr__(self, "conditions", dict(self.conditions))
+        for key, value in self.conditions.items():
+            if not _is_number(value):
+                raise UsageError(f"conditions: {key}: expected a number, found {value!r}")
+        if self.sample_time is None and self.time is None:
+            raise UsageError("neither sample_time nor time is given; give the sample time or the time column")
+        if self.sample_time is not None and not (_is_number(self.sample_time) and self.sample_time > 0):
+            raise UsageError(f"sample_time: expected a positive number of seconds, found {self.sample_time!r}")
+        if self.time is None and self.time_unit is not None:
+            raise UsageError("time_unit is given without time; name the time column or leave the unit out")
+        for key in ("time", "time_unit", "name"):
+            _check_text(key, getattr(self, key))
+        if self.samples is not None:
+            object.__setattr__(self, "samples", _sample_range(self.samples))
+
+    @classmethod
+    def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:
+        """Build from a plain dict, as it stands in an experiment YAML.
+
+        Parameters
+        ----------
+        entries : dict
+            The arguments of `ImportMapping` by name; ``sample_time_s`` is read as ``sample_time``.
+
+        Raises
+        ------
+        UsageError
+            When a key is unknown, given twice or missing, or a value is not of its type.
+        """
+        known = [f.name for f in fields(cls)]
+        _check_keys(entries, [*known, "sample_time_s"], needed=["signals"])
+        entries = dict(entries)
+        if "sample_time_s" in entries:
+            if "sample_time" in entries:
+                raise UsageError("sample_time and sample_time_s are both given; keep one")
+            entries["sample_time"] = entries.pop("sample_time_s")
+        if entries.get("conditions", {}) is None:
+            del entries["conditions"]  # an empty block in YAML
+        return cls(**entries)
+
+    def all_columns(self) -> list[str]:
+        """All source columns, each once, the time column first."""
+        named = [column for signal in self.signals.values() for column in signal.columns]
+        return list(dict.fromkeys([*([self.time] if self.time else []), *named]))
+
+
+def nearest(name: str, known: Iterable[str], limit: int = 30) -> str:
+    """Say what was meant by an unknown name and what there is, as the end of a message."""
+    known = list(known)
+    close = difflib.get_close_matches(name, known, n=1)
+    meant = f"did you mean {close[0]!r}? " if close else ""
+    listed = ", ".join(known[:limit]) + (f" and {len(known) - limit} more" if len(known) > limit else "")
+    return f"{meant}there is {listed or 'nothing'}"
+
+
+def _signals(signals: object) -> dict[str, SignalMapping]:
+    if not isinstance(signals, Mapping) or not signals:
+        raise UsageError(f"signals: expected at least one signal with its columns, found {signals!r}")
+    result = {}
+    for name, entry in signals.items():
+        if not isinstance(entry, SignalMapping | Mapping):
+            raise UsageError(f"signals: {name}: expected columns and unit, found {entry!r}")
+        try:
+            result[name] = entry if isinstance(entry, SignalMapping) else SignalMapping.from_dict(entry)
+        except UsageError as error:
+            raise UsageError(f"signals: {name}: {error}") from None
+    return result
+
+
+def _sample_range(samples: object) -> tuple[int, int | None]:
+    match samples:
+        case (int(start), None) if start >= 0:
+            return start, None
+        case (int(start), int(stop)) if 0 <= start < stop:
+            return start, stop
+    raise UsageError(
+        "samples: expected first and end, two whole numbers counted from 0 with first < end (or null for the "
+        f"end of the file), found {samples!r}"
+    )
+
+
+def _words(key: str, value: object) -> tuple[str, ...]:
+    words = (value,) if isinstance(value, str) else value
+    if not isinstance(words, list | tuple) or not words or not all(isinstance(w, str) and w for w in words):
+        raise UsageError(f"{key}: expected a list of names, found {value!r}")
+    return tuple(words)
+
+
+def _check_text(key: str, value: object) -> None:
+    if value is not None and not isinstance(value, str):
+        raise UsageError(f"{key}: expected text, found {value!r}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _check_keys(entries: object, known: list[str], needed: list[str]) -> None:
+    if not isinstance(entries, Mapping):
+        raise UsageError(f"expected keys and values, found {entries!r}")
+    for key in entries:
+        if key not in known:
+            raise UsageError(f"unknown key {key!r}; {nearest(str(key), known)}")
+    for key in needed:
+        if key not in entries:
+            raise UsageError(f"key {key!r} is missing")

@@ -1,0 +1,135 @@
+"""Recordings in HDF5. The tree is documented in docs/file-formats.md."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from gbid import hdf5
+from gbid.errors import DataError
+from gbid.recording.recording import FloatArray, Recording
+from gbid.units import SIGNALS
+
+KIND = "recording"
+
+CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
+"""Units of the conditions that gbid knows; others have ``""``."""
+
+
+def save_recording(rec: Recording, path: str | Path, overwrite: bool = False) -> None:
+    """Write a recording to an HDF5 file, bit for bit.
+
+    The file appears under its name only when it is complete; a failure leaves what was there before.
+
+    Parameters
+    ----------
+    rec : Recording
+        What to write.
+    path : path
+        The file; missing folders are made.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    with hdf5.writing(path, KIND, overwrite) as file:
+        file.attrs["name"] = rec.name
+        file.attrs["default"] = "signals"
+        hdf5.add_dataset(file, "sample_time", rec.sample_time, "s", "time between samples")
+        _write_signals(file.create_group("signals", track_order=True), rec)
+        conditions = file.create_group("conditions", track_order=True)
+        for key, value in rec.conditions.items():
+            hdf5.add_dataset(conditions, key, value, CONDITION_UNITS.get(key, ""), key.replace("_", " "))
+        provenance = file.create_group("provenance")
+        for key, text in rec.provenance.items():
+            provenance.attrs[key] = text
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Read a recording from an HDF5 file written by `save_recording`.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+
+    Returns
+    -------
+    Recording
+        With the same bits as the one written.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, truncated, incomplete, of another kind or schema, or holds values that no
+        recording may hold.
+    """
+    with hdf5.reading(path, KIND) as file:
+        signals, units, channels = {}, {}, {}
+        for name, item in _group(file, "signals").items():
+            if name == "time":
+                continue
+            signals[name] = hdf5.read_dataset(file["signals"], name)
+            units[name] = str(hdf5.read_attribute(item, "units"))
+            channels[name] = tuple(str(c) for c in np.atleast_1d(hdf5.read_attribute(item, "channels")))
+        conditions = {key: _scalar(file["conditions"], key) for key in _group(file, "conditions")}
+        provenance = {key: str(value) for key, value in _group(file, "provenance").attrs.items()}
+        sample_time = _scalar(file, "sample_time")
+        time = hdf5.read_dataset(file["signals"], "time")
+        name = str(hdf5.read_attribute(file, "name"))
+    try:
+        rec = Recording(signals, sample_time, conditions, name, units, channels, provenance)
+    except DataError as error:
+        raise DataError(f"{path}: {error}") from None
+    _check_time(path, rec, time)
+    return rec
+
+
+def _write_signals(group: h5py.Group, rec: Recording) -> None:
+    """Write the signals with the attributes by which NeXus readers find the default plot."""
+    first, *others = rec.signals
+    group.attrs["NX_class"] = "NXdata"
+    group.attrs["signal"] = first
+    group.attrs["auxiliary_signals"] = np.array(others, dtype=h5py.string_dtype())
+    group.attrs["axes"] = np.array(["time", "."], dtype=h5py.string_dtype())
+    hdf5.add_dataset(group, "time", rec.time, "s", "time from the first sample")
+    for name, values in rec.signals.items():
+        long_name = SIGNALS[name].long_name if name in SIGNALS else name
+        dataset = hdf5.add_dataset(group, name, values, rec.units[name], long_name)
+        dataset.attrs["channels"] = np.array(rec.channels[name], dtype=h5py.string_dtype())
+
+
+def _scalar(group: h5py.Group, name: str) -> float:
+    """Read a dataset of one number."""
+    values = hdf5.read_dataset(group, name)
+    if values.shape != ():
+        raise DataError(f"{group.file.filename}: {name} has shape {values.shape}, expected one number")
+    return float(values)
+
+
+def _group(file: h5py.File, name: str) -> h5py.Group:
+    """Find one of the groups that every recording has."""
+    group = file.get(name)
+    if not isinstance(group, h5py.Group):
+        raise DataError(f"{file.filename}: group /{name} is missing; the recording is incomplete")
+    return group
+
+
+def _check_time(path: str | Path, rec: Recording, time: FloatArray) -> None:
+    """Refuse a time axis that says something else than sample_time."""
+    if time.shape != (rec.n_samples,):
+        raise DataError(f"{path}: /signals/time has shape {time.shape}, expected ({rec.n_samples},)")
+    wrong = np.flatnonzero(~(np.abs(time - rec.time) <= 1e-3 * rec.sample_time))
+    if wrong.size:
+        k = wrong[0]
+        raise DataError(
+            f"{path}: /signals/time is {time[k]} s at sample {k}, but sample_time = {rec.sample_time} s "
+            f"gives {rec.time[k]} s; make them agree"
+        )

@@ -1,0 +1,125 @@
+"""Atomic writing and checked reading."""
+
+import os
+import stat
+
+import h5py
+import numpy as np
+import pytest
+
+from gbid import hdf5
+from gbid.errors import DataError, UsageError
+
+
+def write(path, kind="thing", overwrite=False, value=1.0):
+    with hdf5.writing(path, kind, overwrite) as file:
+        hdf5.add_dataset(file, "x", value, "m", "length")
+
+
+def test_what_is_written_can_be_read(tmp_path):
+    path = tmp_path / "deep" / "er" / "a.h5"
+    write(path)
+    with hdf5.reading(path, "thing") as file:
+        assert hdf5.read_dataset(file, "x") == 1.0
+        assert hdf5.read_attribute(file["x"], "units") == "m"
+        assert hdf5.read_attribute(file["x"], "long_name") == "length"
+        assert file.attrs["creator"].startswith("gbid ")
+    umask = os.umask(0)
+    os.umask(umask)
+    assert stat.S_IMODE(path.stat().st_mode) == 0o666 & ~umask
+
+
+def test_refuses_to_overwrite_unless_asked(tmp_path):
+    path = tmp_path / "a.h5"
+    write(path)
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match=r"a\.h5 exists already"):
+        write(path, value=2.0)
+    assert path.read_bytes() == before
+    write(path, overwrite=True, value=2.0)
+    with hdf5.reading(path, "thing") as file:
+        assert file["x"][()] == 2.0
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt, OSError])
+def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, error):
+    new, old = tmp_path / "new.h5", tmp_path / "old.h5"
+    write(old)
+    before = old.read_bytes()
+    expected = DataError if error is OSError else error
+    for path in (new, old):
+        with pytest.raises(expected), hdf5.writing(path, "thing", overwrite=True) as file:  # noqa: PT012
+            file["half"] = np.arange(1000.0)
+            raise error
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["old.h5"]
+    assert old.read_bytes() == before
+
+
+def test_folders_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "a.h5", tmp_path / ("a" * 300), tmp_path):
+        with pytest.raises(DataError, match="cannot be written"):
+            write(path, overwrite=True)
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def bad_files(folder):
+    """Path and the words that its error must have."""
+    good = folder / "good.h5"
+    write(good)
+    content = good.read_bytes()
+    yield folder / "none.h5", "no such file"
+    yield folder, "not a file"
+    for name, data in {
+        "empty": b"",
+        "text": b"hello",
+        "half": content[: len(content) // 2],
+        "head": content[:100],
+    }.items():
+        (folder / name).write_bytes(data)
+        yield folder / name, "not a readable HDF5 file"
+    for name, attributes in {
+        "foreign": {},
+        "other": {"gbid_kind": "fit", "schema_version": 1},
+        "list": {"gbid_kind": ["thing", "thing"], "schema_version": 1},
+    }.items():
+        with h5py.File(folder / name, "w") as file:
+            file.attrs.update(attributes)
+        yield folder / name, "expected a gbid thing file"
+    for name, version in {"newer": 99, "words": "one", "many": [1, 1], "without": None}.items():
+        with h5py.File(folder / name, "w") as file:
+            file.attrs["gbid_kind"] = "thing"
+            if version is not None:
+                file.attrs["schema_version"] = version
+        yield folder / name, "schema_version"
+
+
+def test_bad_files_are_refused_in_one_line_with_the_name(tmp_path):
+    for path, words in bad_files(tmp_path):
+        with pytest.raises(DataError) as caught, hdf5.reading(path, "thing"):
+            pass
+        text = str(caught.value)
+        assert text.startswith(f"{path}: ")
+        assert words in text
+        assert "\n" not in text
+
+
+def test_missing_entries_are_named(tmp_path):
+    path = tmp_path / "a.h5"
+    with hdf5.writing(path, "thing") as file:
+        file.create_group("g")["text"] = "words"
+        file["g"]["null"] = h5py.Empty("f8")
+        file["x"] = 1.0
+    cases = [
+        (lambda f: f["absent"], "incomplete thing file"),
+        (lambda f: hdf5.read_dataset(f, "absent"), "/absent is missing"),
+        (lambda f: hdf5.read_dataset(f, "g"), "/g is a group"),
+        (lambda f: hdf5.read_dataset(f["g"], "text"), "/g/text holds object, not numbers"),
+        (lambda f: hdf5.read_dataset(f["g"], "null"), "not numbers"),
+        (lambda f: hdf5.read_attribute(f["x"], "units"), "/x has no attribute 'units'"),
+    ]
+    for read, words in cases:
+        with pytest.raises(DataError) as caught, hdf5.reading(path, "thing") as file:
+            read(file)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert words in str(caught.value)
