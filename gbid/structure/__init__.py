@@ -1,1 +1,29 @@
-"""TODO."""
+"""Symbolic models: delays, rotor-bearing, actuators, their series, and a user's own."""
+
+from gbid.structure.delay import pade_delay
+from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
+from gbid.structure.linear_model import LinearModel
+from gbid.structure.parameter import Parameter, Values, known_names
+from gbid.structure.piezo_pair import PiezoPair
+from gbid.structure.plant import Plant
+from gbid.structure.rotor_bearing import KEY_PARAMETERS, RotorBearing
+from gbid.structure.user import load_structure
+
+__all__ = [
+    "KEY_PARAMETERS",
+    "LinearModel",
+    "LinearStructure",
+    "Matrices",
+    "Parameter",
+    "PiezoPair",
+    "Plant",
+    "RotorBearing",
+    "Structure",
+    "Values",
+    "as_names",
+    "evaluate",
+    "known_names",
+    "load_structure",
+    "pade_delay",
+    "symbolic_matrices",
+]

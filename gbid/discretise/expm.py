@@ -1,0 +1,101 @@
+"""Matrix exponential and its integrals, symbolic or numeric, by one algorithm.
+
+With ``phi_1(Z) = int_0^1 e^(Z s) ds`` and ``phi_2(Z) = int_0^1 (1 - s) e^(Z s) ds``, the response of
+``xd = A x + B u`` over one sample is made of ``e^(A h)``, ``h phi_1(A h) B`` and ``h phi_2(A h) B``.
+All three come from one Taylor polynomial of ``phi_2`` at ``Z / 2^s`` and `s` doublings:
+
+    phi_1 = I + Z phi_2,   e^Z = I + Z phi_1,
+    phi_2(2 Z) = (phi_1(Z)^2 + 2 phi_2(Z)) / 4,   phi_1(2 Z) = (e^Z + I) phi_1(Z) / 2.
+
+The number of doublings is fixed when a symbolic graph is built, so it is chosen beforehand from numeric
+samples of the matrix, after Al-Mohy and Higham (2009): by the norms of powers of the balanced matrix, which
+see the fastest pole rather than the scaling of the states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from math import factorial
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import matrix_balance
+
+TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double: enough where the norm is at most one
+_BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
+
+
+class Exponentials(NamedTuple):
+    """The exponential of ``Z`` and its first two integrals, each (n, n)."""
+
+    exp: Any
+    phi1: Any
+    phi2: Any
+
+
+def _identity_like(Z: Any) -> Any:
+    return np.eye(Z.shape[0]) if isinstance(Z, np.ndarray) else ca.SX.eye(Z.shape[0])
+
+
+def exponentials(Z: Any, squarings: int) -> Exponentials:
+    """Return ``e^Z``, ``phi_1(Z)`` and ``phi_2(Z)``.
+
+    Parameters
+    ----------
+    Z : (n, n) casadi.SX or numpy array
+        The matrix, already multiplied by the sample time.
+    squarings : int
+        Number of doublings, as `squarings_for` gives.
+
+    Returns
+    -------
+    Exponentials
+        Of the kind of `Z`.
+    """
+    eye = _identity_like(Z)
+    Z = Z / 2.0**squarings
+    powers = [eye, Z]
+    for _ in range(2, _BLOCK + 1):
+        powers.append(powers[-1] @ Z)
+    coefficients = [1.0 / factorial(k + 2) for k in range(TAYLOR_ORDER + 1)]
+    blocks = [
+        sum(coefficients[start + i] * powers[i] for i in range(_BLOCK))
+        for start in range(0, TAYLOR_ORDER + 1, _BLOCK)
+    ]
+    phi2 = blocks[-1]
+    for block in reversed(blocks[:-1]):
+        phi2 = block + powers[_BLOCK] @ phi2
+    phi1 = eye + Z @ phi2
+    exp = eye + Z @ phi1
+    for _ in range(squarings):
+        phi2 = (phi1 @ phi1 + 2.0 * phi2) / 4.0
+        phi1 = (exp + eye) @ phi1 / 2.0
+        exp = exp @ exp
+    return Exponentials(exp, phi1, phi2)
+
+
+def squarings_for(matrices: Iterable[npt.NDArray[np.float64]]) -> int:
+    """Doublings that bring every one of some matrices within the reach of the Taylor polynomial.
+
+    Parameters
+    ----------
+    matrices : iterable of (n, n) arrays
+        Samples of ``A h``: at the start values, at bounds, anywhere the graph will be evaluated.
+
+    Returns
+    -------
+    int
+        The largest number that any of them needs.
+    """
+    return max((_squarings(np.asarray(Z, float)) for Z in matrices), default=0)
+
+
+def _squarings(Z: npt.NDArray[np.float64]) -> int:
+    if Z.size == 0 or not np.isfinite(Z).all():
+        return 0
+    Z = matrix_balance(Z, permute=False)[0]
+    power = np.linalg.matrix_power(Z, 4)
+    reach = max(np.linalg.norm(power, 1) ** (1 / 4), np.linalg.norm(power @ Z, 1) ** (1 / 5))
+    return max(0, int(np.ceil(np.log2(reach)))) if reach > 0 else 0

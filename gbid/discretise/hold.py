@@ -1,0 +1,96 @@
+"""Exact discretisation of a linear system whose inputs are held or interpolated between samples."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal, NamedTuple, get_args
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise.expm import exponentials, squarings_for
+from gbid.errors import UsageError
+
+Hold = Literal["zoh", "foh"]
+"""How an input behaves between samples: constant (zero-order) or on a straight line (first-order hold)."""
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Discrete(NamedTuple):
+    """``x[k+1] = F x[k] + G_now u[k] + G_next u[k+1]``.
+
+    Attributes
+    ----------
+    F : (n, n)
+    G_now, G_next : (n, n_inputs)
+        `G_next` has zero columns for inputs under zero-order hold.
+    """
+
+    F: Any
+    G_now: Any
+    G_next: Any
+
+
+def check_holds(hold: str | Sequence[str], n_inputs: int) -> tuple[Hold, ...]:
+    """Return one hold per input from one name or a sequence of names.
+
+    Raises
+    ------
+    UsageError
+        For an unknown name or a sequence of the wrong length.
+    """
+    holds = (hold,) * n_inputs if isinstance(hold, str) else tuple(hold)
+    for name in holds:
+        if name not in get_args(Hold):
+            raise UsageError(f"intersample = {name!r}; choose 'zoh' or 'foh'")
+    if len(holds) != n_inputs:
+        raise UsageError(f"intersample names {len(holds)} inputs; there are {n_inputs}")
+    return holds  # type: ignore[return-value]
+
+
+def discretise(
+    A: Any, B: Any, sample_time: float, hold: str | Sequence[str] = "zoh", squarings: int | None = None
+) -> Discrete:
+    """Discretise ``xd = A x + B u`` exactly for the given hold.
+
+    Parameters
+    ----------
+    A : (n, n) casadi.SX or numpy array
+    B : (n, n_inputs) casadi.SX or numpy array
+    sample_time : float
+        Time between samples [s].
+    hold : {"zoh", "foh"} or sequence of these
+        Behaviour of all inputs, or of each.
+    squarings : int, optional
+        Needed for a symbolic `A` only (see `gbid.discretise.squarings_for`); a numeric `A` finds its own.
+
+    Returns
+    -------
+    Discrete
+        Of the kind of `A`.
+
+    Raises
+    ------
+    UsageError
+        For an unknown hold, or a symbolic `A` without `squarings`.
+
+    Notes
+    -----
+    On a straight line ``u(s) = u[k] + (u[k+1] - u[k]) s / h``, so that ``G_next = h phi_2(A h) B`` and
+    ``G_now = h (phi_1(A h) - phi_2(A h)) B``; held, ``G_now = h phi_1(A h) B``.
+    """
+    holds = check_holds(hold, B.shape[1])
+    numeric = isinstance(A, np.ndarray)
+    if squarings is None:
+        if not numeric:
+            raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
+        squarings = squarings_for([A * sample_time])
+    exp, phi1, phi2 = exponentials(A * sample_time, squarings)
+    linear = np.diag([float(h == "foh") for h in holds])
+    if not numeric:
+        linear = ca.sparsify(ca.SX(linear))
+    held = sample_time * (phi1 @ B)
+    next_part = sample_time * (phi2 @ (B @ linear))
+    return Discrete(exp, held - next_part, next_part)

@@ -1,0 +1,231 @@
+"""Linear structures: symbolic state-space matrices as functions of named parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import Hold
+from gbid.errors import UsageError
+from gbid.structure.linear_model import LinearModel
+from gbid.structure.parameter import Parameter, Values
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Matrices(NamedTuple):
+    """``xd = A x + B u + K e``, ``y = C x + D u + e``, as casadi.SX."""
+
+    A: ca.SX
+    B: ca.SX
+    C: ca.SX
+    D: ca.SX
+    K: ca.SX
+
+
+@runtime_checkable
+class Structure(Protocol):
+    """What a fit asks of a structure: it knows its equations and parameters, and no solver.
+
+    Attributes
+    ----------
+    name : str
+    parameters : tuple of Parameter
+    inputs, outputs : tuple of str
+        Signals of a recording that drive it and that it explains, unless a fit names others.
+    intersample : {"zoh", "foh"}
+        How its inputs behave between samples, unless a fit says otherwise.
+    """
+
+    @property
+    def name(self) -> str: ...  # noqa: D102
+    @property
+    def parameters(self) -> tuple[Parameter, ...]: ...  # noqa: D102
+    @property
+    def inputs(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def outputs(self) -> tuple[str, ...]: ...  # noqa: D102
+    @property
+    def intersample(self) -> Hold: ...  # noqa: D102
+
+    def matrices(self, p: Values) -> Mapping[str, Any]:
+        """Return ``{"A", "B", "C", "D", "K"}`` as CasADi for symbolic parameters; D and K may be left out."""
+        ...
+
+
+@dataclass(frozen=True)
+class LinearStructure:
+    """A structure of one's own.
+
+    Parameters
+    ----------
+    name : str
+    parameters : sequence of Parameter
+        Each with a start value.
+    matrices : callable
+        ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
+        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out.
+    inputs, outputs : str or sequence of str
+        Signals of the recordings; ``"p.x"`` picks one channel.
+    intersample : {"zoh", "foh"}
+        Behaviour of the inputs between samples.
+
+    Raises
+    ------
+    UsageError
+        When two parameters share a name, or nothing is to be explained.
+
+    Examples
+    --------
+    >>> def arm(p):
+    ...     return {"A": [[0, 1], [0, -p.b1]], "B": [[0], [p.K2]], "C": [[1, 0]]}
+    >>> LinearStructure("arm", [Parameter("b1", 1.0), Parameter("K2", 1.0)], arm, "u", "y").inputs
+    ('u',)
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    matrices: Callable[[Values], Mapping[str, Any]]
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    intersample: Hold = "zoh"
+
+    def __init__(
+        self,
+        name: str,
+        parameters: Sequence[Parameter],
+        matrices: Callable[[Values], Mapping[str, Any]],
+        inputs: str | Sequence[str] = "u",
+        outputs: str | Sequence[str] = "y",
+        intersample: Hold = "zoh",
+    ) -> None:
+        names = [parameter.name for parameter in parameters]
+        twice = sorted({n for n in names if names.count(n) > 1})
+        if twice:
+            raise UsageError(f"structure {name!r}: parameter {twice[0]!r} is listed more than once")
+        values = {
+            "name": name,
+            "parameters": tuple(parameters),
+            "matrices": matrices,
+            "inputs": as_names(inputs),
+            "outputs": as_names(outputs),
+            "intersample": intersample,
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+        if not self.outputs:
+            raise UsageError(f"structure {name!r}: no outputs")
+
+
+def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
+    """Return signal names as a tuple, whether one or several were given."""
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
+def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
+    """Build a structure's matrices over one symbolic vector of all its parameters.
+
+    Returns
+    -------
+    casadi.SX
+        The parameters, (n_parameters, 1), in the structure's order.
+    Matrices
+        Checked for shape, D and K filled with zeros where left out.
+
+    Raises
+    ------
+    UsageError
+        When the structure's function fails or gives matrices of wrong shape.
+    """
+    p = ca.vertcat(*(ca.SX.sym(parameter.name) for parameter in structure.parameters))
+    where = f"structure {structure.name!r}"
+    try:
+        given = dict(structure.matrices(Values.of(structure.parameters, p)))
+    except UsageError:
+        raise
+    except Exception as error:
+        raise UsageError(f"{where}: matrices(p) failed: {type(error).__name__}: {error}") from error
+    missing = [letter for letter in "ABC" if letter not in given]
+    unknown = [letter for letter in given if letter not in tuple("ABCDK")]
+    if missing or unknown:
+        raise UsageError(
+            f"{where}: matrices(p) must give A, B, C and may give D, K; got {', '.join(given) or 'nothing'}"
+        )
+    sx = {letter: _as_matrix(value, f"{where}: {letter}") for letter, value in given.items()}
+    n, n_u, n_y = sx["A"].shape[0], sx["B"].shape[1], sx["C"].shape[0]
+    sx.setdefault("D", ca.SX(n_y, n_u))
+    sx.setdefault("K", ca.SX(n, n_y))
+    expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
+    for letter, shape in expected.items():
+        if sx[letter].shape != shape:
+            raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
+        strangers = ca.symvar(ca.veccat(sx[letter]))
+        own = {symbol.name() for symbol in ca.symvar(p)}
+        foreign = [symbol.name() for symbol in strangers if symbol.name() not in own]
+        if foreign:
+            raise UsageError(
+                f"{where}: {letter} contains symbols that are no parameters: {', '.join(foreign)}"
+            )
+    return p, Matrices(**sx)
+
+
+def evaluate(
+    structure: Structure,
+    values: Mapping[str, float],
+    input_names: tuple[str, ...] = (),
+    output_names: tuple[str, ...] = (),
+) -> LinearModel:
+    """Put numbers into a structure.
+
+    Parameters
+    ----------
+    structure : Structure
+    values : dict of str to float
+        A value for every parameter.
+    input_names, output_names : tuple of str, optional
+
+    Returns
+    -------
+    LinearModel
+        In continuous time.
+
+    Raises
+    ------
+    UsageError
+        When a value is missing or the matrices are not finite.
+    """
+    missing = [parameter.name for parameter in structure.parameters if parameter.name not in values]
+    if missing:
+        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
+    p, symbolic = symbolic_matrices(structure)
+    function = ca.Function("matrices", [p], [ca.densify(m) for m in symbolic])
+    numeric = function(ca.DM([float(values[parameter.name]) for parameter in structure.parameters]))
+    A, B, C, D, K = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+    return LinearModel(
+        A,
+        B,
+        C,
+        D,
+        K if K.any() else None,
+        input_names=input_names,
+        output_names=output_names,
+        name=structure.name,
+    )
+
+
+def _as_matrix(value: Any, where: str) -> ca.SX:
+    """Return nested lists, arrays, numbers or CasADi matrices as SX."""
+    try:
+        if isinstance(value, ca.SX | ca.DM):
+            return ca.SX(value)
+        if isinstance(value, list | tuple):
+            rows = [row if isinstance(row, list | tuple) else [row] for row in value]
+            return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
+        return ca.SX(ca.DM(np.atleast_2d(np.asarray(value, float))))
+    except Exception as error:
+        raise UsageError(f"{where} is no matrix: {error}") from None

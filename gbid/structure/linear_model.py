@@ -1,0 +1,211 @@
+"""A linear model in numbers: what a fit gives and a loop is built from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import check_holds, discretise, propagate
+from gbid.errors import UsageError
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@dataclass(frozen=True, eq=False)
+class LinearModel:
+    """State-space model ``xd = A x + B u + K e``, ``y = C x + D u + e``, or the same in discrete time.
+
+    Parameters
+    ----------
+    A : (n, n) array
+    B : (n, n_inputs) array
+    C : (n_outputs, n) array
+    D : (n_outputs, n_inputs) array
+    K : (n, n_outputs) array, optional
+        Disturbance gain (paper, Eq. 6: ``B_d``).
+    dt : float, optional
+        Sample time [s]; None for continuous time.
+    input_names, output_names, state_names : tuple of str, optional
+    name : str, optional
+
+    Raises
+    ------
+    UsageError
+        When shapes do not fit together, an entry is not finite, or the sample time is not positive.
+    """
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+    K: FloatArray | None = None
+    dt: float | None = None
+    input_names: tuple[str, ...] = ()
+    output_names: tuple[str, ...] = ()
+    state_names: tuple[str, ...] = ()
+    name: str = "model"
+
+    def __post_init__(self) -> None:
+        if self.dt is not None:
+            _check_sample_time(self.name, self.dt)
+        A, B, C, D = (np.atleast_2d(np.array(m, float)) for m in (self.A, self.B, self.C, self.D))
+        n, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
+        K = None if self.K is None else np.atleast_2d(np.array(self.K, float))
+        expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
+        for letter, matrix in zip("ABCDK", (A, B, C, D, K), strict=True):
+            if matrix is None:
+                continue
+            if matrix.shape != expected[letter]:
+                raise UsageError(f"model {self.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
+            if not np.isfinite(matrix).all():
+                raise UsageError(f"model {self.name!r}: {letter} holds entries that are not finite")
+            matrix.setflags(write=False)
+            object.__setattr__(self, letter, matrix)
+        for field, count, letter in (
+            ("input_names", n_u, "u"),
+            ("output_names", n_y, "y"),
+            ("state_names", n, "x"),
+        ):
+            names = tuple(getattr(self, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
+            if len(names) != count:
+                raise UsageError(f"model {self.name!r}: {field} has {len(names)} names for {count}")
+            object.__setattr__(self, field, names)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return int(self.A.shape[0])
+
+    def poles(self) -> ComplexArray:
+        """Eigenvalues in continuous time [rad/s], shape (n,), by rising magnitude."""
+        poles = np.linalg.eigvals(self.A).astype(complex)
+        if self.dt is not None:
+            with np.errstate(divide="ignore"):
+                poles = np.log(poles) / self.dt
+        return poles[np.lexsort((poles.imag, np.abs(poles)))]
+
+    def is_stable(self) -> bool:
+        """Whether all poles decay."""
+        eigenvalues = np.linalg.eigvals(self.A)
+        return bool((eigenvalues.real < 0).all() if self.dt is None else (np.abs(eigenvalues) < 1).all())
+
+    def modes(self) -> list[tuple[float, float]]:
+        """Oscillatory modes as (natural frequency [Hz], damping factor [-]), by rising frequency.
+
+        A complex pair ``lambda`` has the natural frequency ``|lambda| / 2 pi`` and the damping factor
+        ``-Re(lambda) / |lambda|``. Real poles are no modes; `poles` lists them.
+        """
+        poles = self.poles()
+        pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
+        return [(float(abs(p) / (2 * np.pi)), float(-p.real / abs(p))) for p in pairs]
+
+    def static_gain(self) -> FloatArray:
+        """Gain at rest, shape (n_outputs, n_inputs).
+
+        Raises
+        ------
+        UsageError
+            When the model integrates (a pole at zero): it has no gain at rest.
+        """
+        system = -self.A if self.dt is None else np.eye(self.n_states) - self.A
+        if self.n_states and np.linalg.cond(system) > 1e15:
+            raise UsageError(f"model {self.name!r} has a pole at rest, so no static gain")
+        return np.asarray(self.C @ np.linalg.solve(system, self.B) + self.D)
+
+    def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
+        """Response at given frequencies [Hz], shape (n_frequencies, n_outputs, n_inputs).
+
+        Raises
+        ------
+        UsageError
+            When a frequency is not finite or an undamped pole lies exactly on it.
+        """
+        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
+        if not np.isfinite(s).all():
+            raise UsageError(f"model {self.name!r}: frequency_hz holds values that are not finite")
+        if self.dt is not None:
+            s = np.exp(s * self.dt)
+        system = s[:, None, None] * np.eye(self.n_states) - self.A
+        try:
+            states = np.linalg.solve(system, np.broadcast_to(self.B, (len(s), *self.B.shape)))
+        except np.linalg.LinAlgError:
+            raise UsageError(f"model {self.name!r} has a pole on one of the frequencies asked for") from None
+        return np.asarray(self.C @ states + self.D)
+
+    def discretise(self, sample_time: float) -> LinearModel:
+        """Return the model sampled with zero-order hold [s]; the disturbance is held as well."""
+        self._require_continuous()
+        _check_sample_time(self.name, sample_time)
+        B = self.B if self.K is None else np.hstack([self.B, self.K])
+        F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")
+        n_u = self.B.shape[1]
+        return replace(self, A=F, B=G[:, :n_u], K=None if self.K is None else G[:, n_u:], dt=sample_time)
+
+    def simulate(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Simulate the response to sampled inputs.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Behaviour of the inputs between samples; that of a discrete model was settled when it was sampled.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+
+        Raises
+        ------
+        UsageError
+            When shapes do not fit, an input is not finite, the sample time is missing or differs, or
+            `intersample` is asked of a discrete model.
+        """
+        u = np.asarray(inputs, float)
+        if u.ndim != 2 or u.shape[1] != self.B.shape[1]:
+            raise UsageError(
+                f"model {self.name!r}: inputs have shape {u.shape}, expected (n_samples, {self.B.shape[1]})"
+            )
+        if not np.isfinite(u).all():
+            raise UsageError(f"model {self.name!r}: inputs hold values that are not finite")
+        if self.dt is None:
+            if sample_time is None:
+                raise UsageError(f"model {self.name!r} is continuous: give the sample time [s]")
+            _check_sample_time(self.name, sample_time)
+            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, intersample)
+        else:
+            if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
+                raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
+            if any(hold != "zoh" for hold in check_holds(intersample, self.B.shape[1])):
+                raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
+            F, now, following = self.A, self.B, np.zeros_like(self.B)
+        x0 = np.zeros(self.n_states) if initial_state is None else np.asarray(initial_state, float)
+        if x0.shape != (self.n_states,):
+            raise UsageError(f"model {self.name!r}: initial_state has shape {x0.shape}, expected ({self.n_states},)")
+        forcing = u @ now.T
+        forcing[:-1] += u[1:] @ following.T
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def _require_continuous(self) -> None:
+        if self.dt is not None:
+            raise UsageError(f"model {self.name!r} is discrete already (sample time {self.dt} s)")
+
+
+def _check_sample_time(model: str, sample_time: float) -> None:
+    """Refuse sample times that are not positive numbers."""
+    if not (np.isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")

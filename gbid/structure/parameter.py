@@ -1,0 +1,90 @@
+"""Parameters of a structure: name, start value, bounds, unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import inf, isfinite, isnan
+from typing import Any
+
+from gbid.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One unknown (or fixed) number of a structure.
+
+    Parameters
+    ----------
+    name : str
+        A Python identifier.
+    start : float or None
+        Where the fit starts, or the value of a fixed parameter. None: to be found from the data, which the
+        built-in structures can.
+    lower, upper : float
+        Bounds; the estimate stays within them.
+    fixed : bool
+        Whether the parameter keeps its start value.
+    unit : str
+        Unit, for tables and files.
+
+    Raises
+    ------
+    UsageError
+        When the name is no identifier, the bounds exclude the start or each other, or a fixed parameter has
+        no value.
+    """
+
+    name: str
+    start: float | None = None
+    lower: float = -inf
+    upper: float = inf
+    fixed: bool = False
+    unit: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"parameter {self.name!r}"
+        if not self.name.isidentifier():
+            raise UsageError(f"{where}: the name must be a Python identifier")
+        if isnan(self.lower) or isnan(self.upper) or not self.lower < self.upper:
+            raise UsageError(f"{where}: lower = {self.lower} must be below upper = {self.upper}")
+        if self.start is None:
+            if self.fixed:
+                raise UsageError(f"{where}: fixed without a value; give start")
+        elif not isfinite(self.start):
+            raise UsageError(f"{where}: start = {self.start} is not finite")
+        elif not self.lower <= self.start <= self.upper:
+            raise UsageError(
+                f"{where}: start = {self.start:g} lies outside its bounds [{self.lower:g}, {self.upper:g}]"
+            )
+
+
+class Values(dict[str, Any]):
+    """Parameter values by name, as keys or attributes: ``p["tau"]`` or ``p.tau``."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            return self[name]
+        except KeyError:
+            raise AttributeError(f"no parameter {name!r}; there are {', '.join(self)}") from None
+
+    @classmethod
+    def of(cls, parameters: tuple[Parameter, ...], values: Any) -> Values:
+        """Pair parameters with a vector of values (numeric or symbolic)."""
+        return cls({parameter.name: values[i] for i, parameter in enumerate(parameters)})
+
+
+def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], what: str) -> None:
+    """Refuse names that are no parameters.
+
+    Raises
+    ------
+    UsageError
+        Naming the unknown ones and those there are.
+    """
+    names = [parameter.name for parameter in parameters]
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise UsageError(
+            f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}"
+        )

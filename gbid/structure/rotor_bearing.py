@@ -1,0 +1,101 @@
+"""The rotor on its controllable gas bearing: paper, Sec. 3.2."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+from typing import Any, Literal
+
+import casadi as ca
+
+from gbid.discretise import Hold
+from gbid.errors import UsageError
+from gbid.structure.delay import pade_delay
+from gbid.structure.parameter import Parameter, Values
+
+AXES = ("x", "y")
+PAIRS = ("xx", "xy", "yx", "yy")
+DisturbanceGain = Literal["full", "diagonal", "none"]
+
+KEY_PARAMETERS = (
+    *(f"{letter}_{pair}" for letter in "kdb" for pair in PAIRS),
+    *(f"tau_{axis}" for axis in AXES),
+)
+"""The fourteen parameters that are compared across recordings (paper, Sec. 3.6)."""
+
+_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)"}
+
+
+@dataclass(frozen=True)
+class RotorBearing:
+    """Two coupled degrees of freedom, driven through two delays.
+
+    ``pdd = K p + D pd + B u(t - tau)`` per unit mass (Eqs. 5 to 7), delays as Pade all-passes (Eq. 9), states
+    ``[p_x, p_y, pd_x, pd_y, delay states]`` (Eq. 10), disturbances entering the velocity rows by ``B_d``
+    (Eqs. 7, 11). Input u, output p.
+
+    Parameters
+    ----------
+    pade_order : int
+        Order of the delays' approximation; 1 is the paper's.
+    disturbance_gain : {"full", "diagonal", "none"}
+        Which entries of ``B_d`` are estimated.
+    """
+
+    pade_order: int = 1
+    disturbance_gain: DisturbanceGain = "full"
+    name: str = "rotor_bearing"
+    inputs: tuple[str, ...] = ("u",)
+    outputs: tuple[str, ...] = ("p",)
+    intersample: Hold = "foh"
+
+    def __post_init__(self) -> None:
+        if self.pade_order < 1:
+            raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
+        if self.disturbance_gain not in ("full", "diagonal", "none"):
+            raise UsageError(
+                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'full', 'diagonal' or 'none'"
+            )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gain bd."""
+        coefficients = [
+            Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS
+        ]
+        # A delay at or below zero has an unstable Pade pole or none; a microsecond is far below a sample.
+        delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
+        gains = [Parameter(name, 0.0, -inf, inf, unit="1/s^2") for name in self._gain_names()]
+        return (*coefficients, *delays, *gains)
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return A, B, C, D and K of Eq. 10 for parameters by name."""
+        stiffness, damping, input_gain = (_square(p, letter) for letter in "kdb")
+        n_tau = self.pade_order
+        delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
+        A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(delay[i] for delay in delays)) for i in range(4))
+        zero, eye = ca.SX(2, 2), ca.SX.eye(2)
+        A = ca.blockcat(
+            [
+                [ca.horzcat(zero, eye), ca.SX(2, 2 * n_tau)],
+                [ca.horzcat(stiffness, damping), input_gain @ C_tau],
+                [ca.SX(2 * n_tau, 4), A_tau],
+            ]
+        )
+        B = ca.vertcat(zero, input_gain @ D_tau, B_tau)
+        C = ca.horzcat(eye, ca.SX(2, 2 + 2 * n_tau))
+        return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(zero, self._gain(p), ca.SX(2 * n_tau, 2))}
+
+    def _gain_names(self) -> list[str]:
+        pairs = {"full": PAIRS, "diagonal": ("xx", "yy"), "none": ()}[self.disturbance_gain]
+        return [f"bd_{pair}" for pair in pairs]
+
+    def _gain(self, p: Values) -> ca.SX:
+        entries = [p.get(f"bd_{pair}", 0) for pair in PAIRS]
+        return ca.sparsify(ca.SX(ca.vertcat(ca.horzcat(*entries[:2]), ca.horzcat(*entries[2:]))))
+
+
+def _square(p: Values, letter: str) -> ca.SX:
+    """Return the 2x2 matrix of the entries ``letter_xx`` to ``letter_yy``."""
+    xx, xy, yx, yy = (p[f"{letter}_{pair}"] for pair in PAIRS)
+    return ca.vertcat(ca.horzcat(xx, xy), ca.horzcat(yx, yy))

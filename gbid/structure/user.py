@@ -1,0 +1,60 @@
+"""A user's own structure from a Python file."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+from gbid.errors import UsageError
+from gbid.structure.linear import Structure, symbolic_matrices
+
+
+def load_structure(reference: str, folder: Path | None = None) -> Structure:
+    """Load a structure named as ``file.py:name``.
+
+    Parameters
+    ----------
+    reference : str
+        Python file and the name in it: a structure, or a function without arguments that returns one.
+    folder : pathlib.Path, optional
+        Where a relative file name starts from; the current folder when not given.
+
+    Returns
+    -------
+    Structure
+        Its matrices have been built once, so shapes are right.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing, fails to import, has no such name, or the matrices do not fit.
+    """
+    file, separator, name = reference.rpartition(":")
+    if not separator or not file.endswith(".py"):
+        raise UsageError(f"structure {reference!r}: write it as file.py:name")
+    path = (folder or Path()) / file
+    if not path.is_file():
+        raise UsageError(f"structure {reference!r}: no file {path}")
+    spec = importlib.util.spec_from_file_location(f"gbid_user_{path.stem}", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise UsageError(f"{path}: import failed: {type(error).__name__}: {error}") from error
+    if not hasattr(module, name):
+        raise UsageError(f"{path}: no name {name!r} in this file")
+    structure = getattr(module, name)
+    if not isinstance(structure, Structure) and callable(structure):
+        try:
+            structure = structure()
+        except Exception as error:
+            raise UsageError(f"{path}: {name}() failed: {type(error).__name__}: {error}") from error
+    if not isinstance(structure, Structure):
+        raise UsageError(f"{path}: {name} is no structure; make it a gbid.LinearStructure")
+    try:
+        symbolic_matrices(structure)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from error
+    return structure
