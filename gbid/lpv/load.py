@@ -1,0 +1,104 @@
+"""Reading and writing model files."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from gbid.errors import UsageError
+from gbid.hdf5 import atomic_path
+from gbid.lpv.basis import TERMS
+from gbid.lpv.model import LPVModel
+from gbid.lpv.model_file import SCHEMA_VERSION, SI_UNITS, parse
+from gbid.lpv.yaml_file import read_yaml, write_yaml
+from gbid.share import share_folder
+
+
+def load_model(name_or_path: str | Path) -> LPVModel:
+    """Load a model that comes with gbid, or one from a file.
+
+    Parameters
+    ----------
+    name_or_path : str or path
+        A name such as ``"theisen2016"``, or the path of a YAML file (with its ending, or with a folder).
+
+    Returns
+    -------
+    LPVModel
+        In SI per kg, the file's corrections applied.
+
+    Raises
+    ------
+    UsageError
+        For an unknown name or missing file; for a broken file, with line and column of each problem.
+
+    Examples
+    --------
+    >>> model = load_model("theisen2016")
+    >>> [round(frequency, 1) for frequency, damping in model.at(6, 0).modes()]
+    [126.6, 132.1]
+    """
+    path = Path(name_or_path)
+    if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
+        folder = share_folder("models")
+        path = folder / f"{name_or_path}.yaml"
+        if not path.is_file():
+            names = ", ".join(sorted(file.stem for file in folder.glob("*.yaml")))
+            raise UsageError(
+                f"no model {str(name_or_path)!r} comes with gbid; there are: {names} (or give a path to a .yaml file)"
+            )
+    return parse(read_yaml(path))
+
+
+def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> None:
+    """Write a model as a YAML file that `load_model` reads back without loss.
+
+    Parameters
+    ----------
+    model : LPVModel
+        Its coefficients are written as they are used: in SI, corrections already in them.
+    path : str or path
+        The file; ends in .yaml.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, or the ending is another.
+    DataError
+        When it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: a model file ends in .yaml")
+    with atomic_path(path, overwrite) as part:
+        write_yaml(_contents(model), part)
+
+
+def _contents(model: LPVModel) -> dict[str, Any]:
+    """Return a model's file contents, without what is empty."""
+    contents: dict[str, Any] = {
+        "kind": "lpv_model",
+        "schema_version": SCHEMA_VERSION,
+        "name": model.name,
+        "title": model.title,
+        "source": model.source,
+        "domain": asdict(model.domain),
+        "pade_order": model.pade_order,
+        "operating_points": [list(point) for point in model.operating_points],
+        "key_parameters": {
+            "terms": list(TERMS),
+            "unit": dict(SI_UNITS),
+            "scale": dict.fromkeys(SI_UNITS, 1.0),
+            "coefficients": {key: list(values) for key, values in model.coefficients.items()},
+        },
+        "applied_corrections": [asdict(correction) for correction in model.corrections],
+        "actuators": dict(model.actuators),
+        "controller": asdict(model.controller) if model.controller else None,
+        "reference_modes": [asdict(modes) for modes in model.reference_modes],
+        "rig": {name: asdict(quantity) for name, quantity in model.rig.items()},
+        "piezo_controllers": asdict(model.piezo_controllers) if model.piezo_controllers else None,
+    }
+    return {key: value for key, value in contents.items() if value not in (None, "", [], {})}

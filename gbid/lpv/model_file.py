@@ -1,0 +1,190 @@
+"""The schema of a model file, and how its corrections are applied."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import dataclass, field
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, TypeAdapter, ValidationError
+
+from gbid.errors import UsageError
+from gbid.lpv.basis import TERMS
+from gbid.lpv.domain import Domain
+from gbid.lpv.model import LPVModel
+from gbid.lpv.tables import (
+    Correction,
+    FileTable,
+    Number,
+    PiezoControllers,
+    ProportionalDesign,
+    Quantity,
+    ReferenceModes,
+)
+from gbid.lpv.yaml_file import YamlFile
+from gbid.structure import KEY_PARAMETERS
+
+SCHEMA_VERSION = 1
+SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
+"""Unit of each group of key parameters in a `LPVModel`."""
+
+Range = tuple[Number, Number]
+Row = Annotated[tuple[Number, ...], Field(min_length=len(TERMS), max_length=len(TERMS))]
+
+
+@dataclass(frozen=True)
+class DomainTable(FileTable):
+    """Ranges on which the model holds."""
+
+    pressure_bar: Range
+    speed_rpm: Range
+
+
+@dataclass(frozen=True)
+class KeyParameterTable(FileTable):
+    """Coefficients of Eq. 16, with the unit of the first one and its factor to SI."""
+
+    terms: tuple[str, ...]
+    coefficients: dict[str, Row]
+    unit: dict[str, str] = field(default_factory=lambda: dict(SI_UNITS))
+    scale: dict[str, Number] = field(default_factory=lambda: dict.fromkeys(SI_UNITS, 1.0))
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class ActuatorTable(FileTable):
+    """Parameters of Eq. 12."""
+
+    p1_x: Number
+    p2_x: Number
+    kappa_x: Number
+    p1_y: Number
+    p2_y: Number
+    kappa_y: Number
+    source: str = ""
+
+
+@dataclass(frozen=True)
+class ModelFile(FileTable):
+    """A model file as it is written, before its corrections."""
+
+    kind: Literal["lpv_model"]
+    schema_version: Literal[1]
+    name: Annotated[str, Field(min_length=1)]
+    domain: DomainTable
+    key_parameters: KeyParameterTable
+    title: str = ""
+    source: str = ""
+    pade_order: Annotated[int, Field(ge=1, strict=True)] = 1
+    operating_points: tuple[tuple[Number, Number], ...] = ()
+    actuators: ActuatorTable | None = None
+    controller: ProportionalDesign | None = None
+    corrections: tuple[Correction, ...] = ()
+    applied_corrections: tuple[Correction, ...] = ()
+    reference_modes: tuple[ReferenceModes, ...] = ()
+    rig: dict[str, Quantity] = field(default_factory=dict)
+    piezo_controllers: PiezoControllers | None = None
+
+
+def parse(file: YamlFile) -> LPVModel:
+    """Turn the contents of a model file into a model.
+
+    Raises
+    ------
+    UsageError
+        One line for each problem, as ``file:line:col: what``.
+    """
+    try:
+        table = TypeAdapter(ModelFile).validate_python(file.data)
+    except ValidationError as error:
+        raise UsageError("\n".join(_message(file, problem) for problem in error.errors())) from None
+    _check_key_parameters(file, table.key_parameters)
+    values = _correct(file, table)
+    scale = {group: values[f"scale[{group}]"] for group in SI_UNITS}
+    coefficients = {
+        key: tuple(scale[key.split("_")[0]] * values[f"{key}[{term}]"] for term in TERMS) for key in KEY_PARAMETERS
+    }
+    try:
+        return LPVModel(
+            name=table.name,
+            coefficients=coefficients,
+            domain=Domain(table.domain.pressure_bar, table.domain.speed_rpm),
+            actuators={name: values[name] for name in _actuator_values(table)},
+            pade_order=table.pade_order,
+            operating_points=table.operating_points,
+            controller=table.controller,
+            rig=table.rig,
+            piezo_controllers=table.piezo_controllers,
+            reference_modes=table.reference_modes,
+            corrections=(*table.applied_corrections, *table.corrections),
+            title=table.title,
+            source=table.source,
+        )
+    except UsageError as error:
+        raise UsageError(f"{file.path}: {error}") from None
+
+
+def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
+    """Return all entries that can be corrected, by name, after the corrections."""
+    key_parameters = table.key_parameters
+    values: dict[str, float] = {
+        f"{key}[{term}]": value
+        for key, row in key_parameters.coefficients.items()
+        for term, value in zip(TERMS, row, strict=True)
+    }
+    values |= {f"scale[{group}]": factor for group, factor in key_parameters.scale.items()}
+    values |= _actuator_values(table)
+    seen: set[str] = set()
+    for i, correction in enumerate(table.corrections):
+        entry = correction.entry
+        where = file.position(("corrections", i, "entry"))
+        if entry not in values:
+            near = difflib.get_close_matches(entry, values, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else "; write name[term], as in b_xx[P^2]"
+            raise UsageError(f"{where}: no entry {entry!r} to correct{hint}")
+        if entry in seen:
+            raise UsageError(f"{where}: entry {entry!r} is corrected twice; keep one correction")
+        if correction.printed != values[entry]:
+            where = file.position(("corrections", i, "printed"))
+            raise UsageError(
+                f"{where}: {entry} is corrected from {correction.printed:g}, but the table has {values[entry]:g}"
+            )
+        seen.add(entry)
+        values[entry] = correction.corrected
+    return values
+
+
+def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
+    """Refuse another order of terms and missing or unknown names."""
+    if table.terms != TERMS:
+        raise UsageError(
+            f"{file.position(('key_parameters', 'terms'))}: terms = [{', '.join(table.terms)}]; "
+            f"the order must be [{', '.join(TERMS)}]"
+        )
+    for field_name, given, expected in (
+        ("coefficients", table.coefficients, KEY_PARAMETERS),
+        ("unit", table.unit, tuple(SI_UNITS)),
+        ("scale", table.scale, tuple(SI_UNITS)),
+    ):
+        unknown = [name for name in given if name not in expected]
+        missing = [name for name in expected if name not in given]
+        if unknown or missing:
+            where = file.position(("key_parameters", field_name, *unknown[:1]))
+            problem = f"{', '.join(unknown)} unknown" if unknown else f"{', '.join(missing)} missing"
+            raise UsageError(f"{where}: {field_name}: {problem}; there are {', '.join(expected)}")
+
+
+def _actuator_values(table: ModelFile) -> dict[str, float]:
+    if table.actuators is None:
+        return {}
+    return {name: value for name, value in vars(table.actuators).items() if name != "source"}
+
+
+def _message(file: YamlFile, problem: Any) -> str:
+    location = tuple(problem["loc"])
+    name = ".".join(str(key) for key in location)
+    if problem["type"] in ("unexpected_keyword_argument", "extra_forbidden"):
+        return f"{file.position(location)}: unknown key {name!r}; remove it or correct its spelling"
+    if problem["type"] in ("missing", "missing_argument"):
+        return f"{file.position(location)}: {name!r} is missing"
+    return f"{file.position(location)}: {name} = {problem['input']!r}: {problem['msg']}"

@@ -1,0 +1,115 @@
+"""Reading YAML so that every complaint can name file, line and column."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap, CommentedSeq
+from ruamel.yaml.error import MarkedYAMLError, YAMLError
+
+from gbid.errors import UsageError
+
+
+@dataclass(frozen=True)
+class YamlFile:
+    """Contents of a YAML file and where each of its values stands.
+
+    Attributes
+    ----------
+    path : pathlib.Path
+    data : dict
+        Plain Python values.
+    """
+
+    path: Path
+    data: dict[str, Any]
+    _tree: CommentedMap
+
+    def position(self, location: Sequence[str | int]) -> str:
+        """Return ``file:line:col`` of a value by its keys; of the nearest one above when it is not there."""
+        node: Any = self._tree
+        line, column = 0, 0
+        for key in location:
+            try:
+                if isinstance(node, CommentedMap):
+                    line, column = node.lc.key(key)
+                elif isinstance(node, CommentedSeq) and isinstance(key, int):
+                    line, column = node.lc.item(key)
+                else:
+                    break
+                node = node[key]
+            except (KeyError, IndexError, TypeError):
+                break
+        return f"{self.path}:{line + 1}:{column + 1}"
+
+
+def read_yaml(path: Path) -> YamlFile:
+    """Read a YAML file whose top level is a mapping.
+
+    Raises
+    ------
+    UsageError
+        When the file is missing, cannot be read, is no YAML (with line and column), or holds something else
+        than a mapping.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise UsageError(f"{path}: no such file") from None
+    except UnicodeDecodeError as error:
+        raise UsageError(f"{path}: not a text file in UTF-8: {error.reason}") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+    try:
+        tree = YAML(typ="rt").load(text)
+    except MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
+        problem = " ".join(str(error.problem or error.context or "not YAML").split())
+        raise UsageError(f"{where}: not valid YAML: {problem}") from None
+    except (YAMLError, ValueError) as error:
+        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(tree, CommentedMap):
+        raise UsageError(
+            f"{path}:1:1: expected keys with values, found {'nothing' if tree is None else type(plain(tree)).__name__}"
+        )
+    return YamlFile(path, plain(tree), tree)
+
+
+def plain(value: Any) -> Any:
+    """Return plain dicts, lists, numbers and text from ruamel's annotated ones."""
+    if isinstance(value, dict):
+        return {plain(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    for kind in (bool, int, float, str):
+        if isinstance(value, kind):
+            return kind(value)
+    return value
+
+
+def write_yaml(data: dict[str, Any], path: Path) -> None:
+    """Write plain values; lists of numbers and pairs on one line, floats with all their digits."""
+    yaml = YAML(typ="rt")
+    yaml.width = 4096
+    yaml.indent(mapping=2, sequence=4, offset=2)
+    with path.open("w", encoding="utf-8") as handle:
+        yaml.dump(_styled(data), handle)
+
+
+def _styled(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {k: _styled(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        items = CommentedSeq(_styled(v) for v in value)
+        if not any(isinstance(v, dict) for v in value):
+            items.fa.set_flow_style()
+        return items
+    if isinstance(value, float) and not math.isfinite(value):
+        raise UsageError(f"{value} cannot be written to a model file; give finite numbers")
+    return value
