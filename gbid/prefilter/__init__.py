@@ -1,1 +1,31 @@
-"""TODO."""
+"""Prefilter (paper, Sec. 3.5): run-out and unbalance map, offsets, median of three."""
+
+import sys
+from types import ModuleType
+from typing import Any
+
+from gbid.prefilter.identify_runout import identify_runout
+from gbid.prefilter.median import running_median
+from gbid.prefilter.prefilter import PrefilterReport, prefilter
+from gbid.prefilter.runout import RunoutMap
+from gbid.prefilter.store import load_prefilter, save_prefilter
+
+__all__ = [
+    "PrefilterReport",
+    "RunoutMap",
+    "identify_runout",
+    "load_prefilter",
+    "prefilter",
+    "running_median",
+    "save_prefilter",
+]
+
+
+class _CallablePackage(ModuleType):
+    """`gbid.prefilter` is this package and, as one of gbid's public names, also the function in it."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        return prefilter(*args, **kwargs)
+
+
+sys.modules[__name__].__class__ = _CallablePackage

@@ -1,0 +1,185 @@
+"""Make a run-out map from recordings with still piezos (paper, Sec. 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from gbid.errors import DataError, UsageError
+from gbid.prefilter.median import running_median
+from gbid.prefilter.runout import TURN, RunoutMap, differing_condition
+from gbid.prefilter.shaft import ShaftMotion, shaft_motion
+from gbid.recording import FloatArray, Recording
+
+# A harmonic that the recorded angles cannot tell from another one (two per 50 angles a turn, say).
+_WORST_CONDITION = 20.0
+
+
+def identify_runout(
+    recordings: Recording | Sequence[Recording],
+    *,
+    method: str = "harmonics",
+    harmonics: int = 10,
+    bins: int = 100,
+    still: float = 0.5e-6,
+) -> RunoutMap:
+    """Map the disc position over the shaft angle while the piezos are still.
+
+    All recordings share one map; each has a mean of its own, and the map keeps the mean of these. When the
+    shaft stands still (0 rpm) angle and position cannot be related, and the map is the mean alone.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        With p and phi, and r or u to prove the stillness; all at one operating point.
+    method : str
+        ``"harmonics"``: least squares on sines and cosines, the default. ``"bins"``: means over equal parts
+        of a turn, which need no guess of the number of harmonics but smooth the high ones.
+    harmonics : int
+        Number of harmonics.
+    bins : int
+        Number of parts of a turn.
+    still : float
+        Largest movement of r and u, peak to peak without single-sample spikes, that counts as still [m].
+
+    Returns
+    -------
+    RunoutMap
+        The map, with the rms before and after.
+
+    Raises
+    ------
+    UsageError
+        For an unknown method, or numbers below 1.
+    DataError
+        When a signal is missing, a piezo moves, the recordings do not belong together, or the recorded
+        angles do not determine the map.
+    """
+    group = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if method not in ("harmonics", "bins"):
+        raise UsageError(f"method = {method!r}; use 'harmonics' or 'bins'")
+    if harmonics < 1 or bins < 4:
+        raise UsageError(f"harmonics = {harmonics}, bins = {bins}; give at least 1 harmonic and 4 bins")
+    if not group:
+        raise UsageError("no stationary recording given; the run-out map needs at least one")
+    first = group[0]
+    notes: list[str] = []
+    for rec in group:
+        if "p" not in rec.signals:
+            raise DataError(f"recording {rec.name!r} has no signal 'p'; the run-out map needs the disc position")
+        _check_still(rec, still, notes)
+        if rec.channels["p"] != first.channels["p"] or differing_condition(rec.conditions, first.conditions):
+            raise DataError(
+                f"recordings {first.name!r} and {rec.name!r} differ in channels or conditions; "
+                "make one map for each operating point"
+            )
+    motions = [shaft_motion(rec) for rec in group]
+    turning = {motion.turns > 0 for motion in motions}
+    if len(turning) > 1:
+        raise DataError(f"of {', '.join(r.name for r in group)} some turn and some stand still; map them apart")
+
+    p = [rec.signal("p") for rec in group]
+    n_channels = p[0].shape[1]
+    orders, angles = np.zeros(0), np.zeros(0)
+    cosine = sine = table = np.zeros((0, n_channels))
+    if turning == {False}:
+        method = "mean"
+        means = [values.mean(axis=0) for values in p]
+        notes.append("the shaft stood still: the map is the mean position alone")
+    elif method == "harmonics":
+        orders = np.arange(1.0, harmonics + 1)
+        means, cosine, sine = _fit_harmonics([m.angle for m in motions], p, orders)
+    else:
+        means = [_mean_over_turns(motion, values) for motion, values in zip(motions, p, strict=True)]
+        centred = np.vstack([values - mean for values, mean in zip(p, means, strict=True)])
+        angles, table = _bin_means(np.concatenate([m.angle for m in motions]), centred, bins)
+    made = RunoutMap(
+        method=method,
+        mean=np.mean(means, axis=0),
+        orders=orders,
+        cosine=cosine,
+        sine=sine,
+        angles=angles,
+        table=table,
+        channels=first.channels["p"],
+        conditions=dict(first.conditions),
+        sources=tuple(rec.name for rec in group),
+        turns=sum(motion.turns for motion in motions),
+        rms_before=_rms([values - values.mean(axis=0) for values in p]),
+        rms_after=np.zeros(n_channels),
+        notes=tuple(notes),
+    )
+    left = [
+        values - mean - (made.evaluate(motion.angle) - made.mean)
+        for values, mean, motion in zip(p, means, motions, strict=True)
+    ]
+    return replace(made, rms_after=_rms(left))
+
+
+def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
+    present = [name for name in ("r", "u") if name in rec.signals]
+    for name in present:
+        values = rec.signal(name)
+        travel = np.ptp(running_median(values, 3 if len(values) >= 3 else 1), axis=0)
+        if travel.max() > still:
+            channel = rec.channels[name][int(travel.argmax())]
+            raise DataError(
+                f"recording {rec.name!r}: {name}_{channel} moves by {travel.max() * 1e6:.2f} um; "
+                f"a run-out map needs still piezos (at most {still * 1e6:.2f} um)"
+            )
+    if not present:
+        notes.append(f"{rec.name}: neither r nor u recorded, so nothing shows that the piezos were still")
+
+
+def _fit_harmonics(
+    angles: list[FloatArray], p: list[FloatArray], orders: FloatArray
+) -> tuple[list[FloatArray], FloatArray, FloatArray]:
+    """Least squares on one mean per recording and shared harmonics: means, cosine, sine."""
+    lengths = [len(values) for values in p]
+    phase = np.outer(np.concatenate(angles), orders)
+    own_mean = np.repeat(np.eye(len(p)), lengths, axis=0)
+    # cosines and sines have mean square 1/2: brought to the size of the ones
+    basis = np.hstack([own_mean, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase)])
+    if len(basis) <= basis.shape[1]:
+        raise DataError(f"{len(basis)} samples cannot determine {len(orders)} harmonics; use fewer harmonics")
+    solution, _, _, singular = np.linalg.lstsq(basis, np.vstack(p), rcond=None)
+    shares = np.sqrt(len(p))  # the columns of a mean hold the samples of its own recording only
+    if singular[0] > _WORST_CONDITION * shares * singular[-1]:
+        raise DataError(
+            f"the recorded shaft angles do not tell {len(orders)} harmonics apart; at constant speed a turn "
+            "needs more than twice as many samples as harmonics: use fewer harmonics"
+        )
+    means = list(solution[: len(p)])
+    cosine, sine = np.split(np.sqrt(2) * solution[len(p) :], 2)
+    return means, cosine, sine
+
+
+def _mean_over_turns(motion: ShaftMotion, values: FloatArray) -> FloatArray:
+    """Mean over the largest whole number of turns, in which the harmonics average out."""
+    course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
+    inside = course < TURN * np.floor(motion.turns)
+    return np.asarray(values[inside].mean(axis=0))
+
+
+def _bin_means(angle: FloatArray, centred: FloatArray, bins: int) -> tuple[FloatArray, FloatArray]:
+    """Mean angle and mean position in each part of a turn that holds samples."""
+    wrapped = np.mod(angle, TURN)
+    index = np.minimum((wrapped * (bins / TURN)).astype(int), bins - 1)
+    count = np.bincount(index, minlength=bins)
+    full = count > 0
+    sums = [np.bincount(index, weights=column, minlength=bins) for column in (wrapped, *centred.T)]
+    nodes, *columns = (total[full] / count[full] for total in sums)
+    # A constant speed may visit few angles only; between them lies a straight line: no wide gaps.
+    gap = np.diff(nodes, append=nodes[0] + TURN).max()
+    if gap > TURN / 16:
+        raise DataError(
+            f"the recorded shaft angles leave {np.rad2deg(gap):.0f} degrees of the turn without a sample; "
+            "record longer, or at a speed that visits more angles"
+        )
+    return nodes, np.column_stack(columns)
+
+
+def _rms(parts: list[FloatArray]) -> FloatArray:
+    return np.asarray(np.sqrt(np.mean(np.vstack(parts) ** 2, axis=0)))

@@ -1,0 +1,171 @@
+"""Make measured signals fit for a linear model (paper, Sec. 3.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.prefilter.median import count_spikes, running_median
+from gbid.prefilter.runout import RunoutMap
+from gbid.prefilter.shaft import shaft_motion
+from gbid.recording import FloatArray, Recording
+
+_NO_MEAN = ("phi", "force")  # an angle and an impact have no offset to remove
+
+
+@dataclass(frozen=True, eq=False)
+class PrefilterReport:
+    """What the prefilter took out of one recording.
+
+    Attributes
+    ----------
+    name : str
+        Name of the recording.
+    channels : dict of str to tuple of str
+        Channel names of the recording's signals, without angle and force.
+    rms_before, rms_after : dict of str to (n_channels,) array
+        Root mean square of each of these signals about its mean, in the signal's unit.
+    offsets : dict of str to (n_channels,) array
+        Means removed, zeros when none were. For the position it is what is left after the map, whose own mean is in
+        `RunoutMap.mean`.
+    runout_share : (n_channels,) array
+        Part of the variance of p that the run-out map took out; zero without a map, negative when the map
+        made it worse.
+    harmonics : (n_orders, n_channels) array
+        Amplitudes of the map's harmonics 1, 2, ... [m]; no rows without a map or for a shaft at rest.
+    spikes : tuple of int
+        Samples per channel of p that the median moved by more than 5 robust standard deviations.
+    median : int
+        Size of the median filter, 1 for none.
+    map_sources : tuple of str
+        Recordings the map was made from.
+    notes : tuple of str
+        What a reader should know, e.g. that a map of a shaft at rest is only a mean.
+    """
+
+    name: str
+    channels: Mapping[str, tuple[str, ...]]
+    rms_before: Mapping[str, FloatArray]
+    rms_after: Mapping[str, FloatArray]
+    offsets: Mapping[str, FloatArray]
+    runout_share: FloatArray
+    harmonics: FloatArray
+    spikes: tuple[int, ...]
+    median: int
+    map_sources: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+
+def prefilter(
+    rec: Recording,
+    runout_map: RunoutMap | None = None,
+    *,
+    position: str = "p",
+    median: int = 3,
+    remove_mean: bool = True,
+    any_condition: bool = False,
+) -> tuple[Recording, PrefilterReport]:
+    """Remove run-out and unbalance response, offsets and spikes.
+
+    In this order: ``p = p_raw - F_r(phi)``; the means of all signals but angle and force; the median on p alone.
+    The paper speaks of the mean disc position only. A linear model from u to p (Eq. 6) or r to u (Eq. 14) has no constant
+    term, so the mean of its input goes as well; without noise and filters the means of one recording still
+    fit the static gain to within what the ends of the record contribute, some nanometres in 5 s.
+
+    The median colours white noise and cuts crests, see `running_median`; ``median=1`` switches it off.
+
+    Parameters
+    ----------
+    rec : Recording
+        With p, and phi when the map varies with the angle; r and u when there.
+    runout_map : RunoutMap, optional
+        From `identify_runout` at the same operating point. Without one no run-out is removed.
+    position : str
+        Name of the measured position: p, or what a rig of one's own calls it.
+    median : int
+        Size of the median filter on the position, odd; 1 for none.
+    remove_mean : bool
+        Whether the means are removed.
+    any_condition : bool
+        Take a map from another operating point; the report notes it.
+
+    Returns
+    -------
+    Recording
+        The same signals, filtered; phi and others untouched.
+    PrefilterReport
+        What was taken out.
+
+    Raises
+    ------
+    UsageError
+        For a median size that is not odd.
+    DataError
+        When p or phi is missing, phi does not fit the speed, or map and recording differ in channels or
+        operating point.
+    """
+    if position not in rec.signals:
+        raise DataError(
+            f"recording {rec.name!r} has no signal {position!r}; the prefilter works on the measured position, "
+            f"name it (position=...): there are {', '.join(rec.signals)}"
+        )
+    before = {name: values for name, values in rec.signals.items() if name not in _NO_MEAN}
+    after = dict(before)
+    notes: list[str] = []
+    steps: list[str] = []
+    share = np.zeros(before[position].shape[1])
+    if runout_map is not None:
+        after[position] = _without_runout(rec, position, runout_map, any_condition, notes)
+        variance = before[position].var(axis=0)
+        share = np.where(variance > 0, 1 - after[position].var(axis=0) / np.where(variance > 0, variance, 1), 0.0)
+        steps.append(f"run-out map ({runout_map.method}) of {', '.join(runout_map.sources)} subtracted from {position}")
+    offsets = {name: values.mean(axis=0) * remove_mean for name, values in after.items()}
+    if remove_mean:
+        after = {name: values - offsets[name] for name, values in after.items()}
+        steps.append(f"means of {', '.join(after)} removed")
+    unfiltered = after[position]
+    after[position] = running_median(unfiltered, median)
+    if median > 1:
+        steps.append(f"median of {median} on {position}")
+    report = PrefilterReport(
+        name=rec.name,
+        channels={name: rec.channels[name] for name in before},
+        rms_before={name: values.std(axis=0) for name, values in before.items()},
+        rms_after={name: values.std(axis=0) for name, values in after.items()},
+        offsets=offsets,
+        runout_share=share,
+        harmonics=runout_map.amplitudes() if runout_map else np.zeros((0, before[position].shape[1])),
+        spikes=count_spikes(unfiltered, after[position]),
+        median=median,
+        map_sources=runout_map.sources if runout_map else (),
+        notes=tuple(notes),
+    )
+    earlier = rec.provenance.get("prefilter")
+    text = "; ".join([*([earlier] if earlier else []), *(steps or ["nothing removed"])])
+    filtered = replace(rec, signals={**rec.signals, **after}, provenance={**rec.provenance, "prefilter": text})
+    return filtered, report
+
+
+def _without_runout(
+    rec: Recording, position: str, runout_map: RunoutMap, any_condition: bool, notes: list[str]
+) -> FloatArray:
+    """Disc position less the map at the recorded angles."""
+    p = rec.signal(position)
+    if rec.channels[position] != runout_map.channels:
+        raise DataError(
+            f"recording {rec.name!r}: {position} has the channels {', '.join(rec.channels[position])}, the run-out map "
+            f"{', '.join(runout_map.channels)}; make the map from recordings of the same sensors"
+        )
+    try:
+        runout_map.check_conditions(rec.name, rec.conditions)
+    except DataError as error:
+        if not any_condition:
+            raise
+        notes.append(str(error).split(";")[0])
+    notes.extend(runout_map.notes)
+    if not runout_map.needs_angle:
+        return np.asarray(p - runout_map.mean)
+    return np.asarray(p - runout_map.evaluate(shaft_motion(rec).angle))

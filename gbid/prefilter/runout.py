@@ -1,0 +1,139 @@
+"""The run-out map: what the disc sensors show of a shaft that turns while the piezos are still."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.recording import FloatArray
+
+TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class RunoutMap:
+    r"""Run-out and unbalance response over the shaft angle, the filter F_r(phi) of the paper's Sec. 3.5.
+
+    As harmonics, :math:`F(\phi) = m + \sum_n a_n \cos n\phi + b_n \sin n\phi`, or as a table over the
+    angle with straight lines between its entries. Made by `identify_runout`.
+
+    Attributes
+    ----------
+    method : str
+        ``"harmonics"``, ``"bins"``, or ``"mean"`` when the shaft stood still.
+    mean : (n_channels,) array
+        m, the mean position [m].
+    orders : (n_orders,) array
+        Harmonic orders n; empty unless the method is ``"harmonics"``.
+    cosine, sine : (n_orders, n_channels) array
+        a and b [m].
+    angles : (n_angles,) array
+        Angles of the table within [0, 2 pi) [rad], rising; empty unless the method is ``"bins"``.
+    table : (n_angles, n_channels) array
+        Deviation from the mean at these angles [m].
+    channels : tuple of str
+        Names of the channels.
+    conditions : dict of str to float
+        Operating point the map holds for.
+    sources : tuple of str
+        Names of the recordings it was made from.
+    turns : float
+        Turns of the shaft it was made from.
+    rms_before, rms_after : (n_channels,) array
+        Root mean square about the mean of these recordings, and of what the map leaves of them [m].
+    notes : tuple of str
+        What a reader of the result should know.
+    """
+
+    method: str
+    mean: FloatArray
+    orders: FloatArray
+    cosine: FloatArray
+    sine: FloatArray
+    angles: FloatArray
+    table: FloatArray
+    channels: tuple[str, ...]
+    conditions: Mapping[str, float]
+    sources: tuple[str, ...]
+    turns: float
+    rms_before: FloatArray
+    rms_after: FloatArray
+    notes: tuple[str, ...] = ()
+
+    @property
+    def needs_angle(self) -> bool:
+        """Whether the map varies with the angle; one of a shaft at rest is the mean alone."""
+        return self.method != "mean"
+
+    def evaluate(self, phi: FloatArray) -> FloatArray:
+        """Value of the map.
+
+        Parameters
+        ----------
+        phi : (n,) array
+            Shaft angles [rad], wrapped or not.
+
+        Returns
+        -------
+        (n, n_channels) array
+            F_r(phi), the mean included [m].
+        """
+        value = np.tile(self.mean, (len(phi), 1))
+        if self.orders.size:
+            value += np.cos(np.outer(phi, self.orders)) @ self.cosine
+            value += np.sin(np.outer(phi, self.orders)) @ self.sine
+        if self.angles.size:
+            for channel, column in enumerate(self.table.T):
+                value[:, channel] += np.interp(phi, self.angles, column, period=TURN)
+        return value
+
+    def amplitudes(self, n_orders: int = 10) -> FloatArray:
+        """Amplitudes of the harmonics 1, 2, ... of the map.
+
+        Parameters
+        ----------
+        n_orders : int
+            How many; a map of harmonics gives those it has.
+
+        Returns
+        -------
+        (n_orders, n_channels) array
+            Amplitudes [m]; no rows for a shaft at rest.
+        """
+        if self.method == "harmonics":
+            return np.asarray(np.hypot(self.cosine, self.sine))
+        if self.method == "bins":
+            n_points = 64 * max(n_orders, len(self.angles))
+            spectrum = np.fft.rfft(self.evaluate(np.arange(n_points) * TURN / n_points), axis=0)
+            return np.asarray(np.abs(spectrum[1 : n_orders + 1]) * 2 / n_points)
+        return np.zeros((0, len(self.mean)))
+
+    def check_conditions(self, name: str, conditions: Mapping[str, float]) -> None:
+        """Refuse a recording from another operating point than the map's.
+
+        Raises
+        ------
+        DataError
+            Naming the condition and both values.
+        """
+        key = differing_condition(self.conditions, conditions)
+        if key:
+            raise DataError(
+                f"recording {name!r}: {key} = {conditions.get(key)}, but the run-out map was made at "
+                f"{self.conditions.get(key)} (from {', '.join(self.sources)}); make a map at this operating "
+                "point or allow any condition"
+            )
+
+
+def differing_condition(one: Mapping[str, float], other: Mapping[str, float]) -> str | None:
+    """Name the scheduling variable in which two operating points differ by more than 1 %, None if none."""
+    for key in ("pressure_bar", "speed_rpm"):
+        a, b = one.get(key), other.get(key)
+        if (a is None) != (b is None):
+            return key
+        if a is not None and b is not None and abs(a - b) > 0.01 * max(abs(a), abs(b)):
+            return key
+    return None

@@ -1,0 +1,118 @@
+"""What the rig's sensors make of the true motion: run-out, offsets, noise and encoder counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gbid.errors import UsageError
+from gbid.recording import FloatArray
+
+TURN = 2 * np.pi
+
+# Both sensors look at one disc surface a quarter turn apart, so y sees the run-out of x later.
+_AMPLITUDE = np.array([3.0e-6, 1.5e-6, 0.8e-6, 0.4e-6, 0.2e-6])
+_PHASE = np.array([0.4, 2.1, -1.3, 0.9, -2.6])
+_ORDER = np.arange(1, 6)
+
+
+def _default_amplitude() -> FloatArray:
+    return np.array([_AMPLITUDE, _AMPLITUDE])
+
+
+def _default_phase() -> FloatArray:
+    return np.array([_PHASE, _PHASE - _ORDER * np.pi / 2])
+
+
+@dataclass(frozen=True, eq=False)
+class SensorChain:
+    """Sensors of the rig: eddy-current probes (p), piezo strain gauges (u) and a shaft encoder (phi).
+
+    Run-out is what the probes see of a disc that turns without moving: its roundness and its electrical
+    spots. Channel j sees the sum over the orders n = 1, 2, ... of a_jn cos(n phi + theta_jn).
+
+    Parameters
+    ----------
+    noise_p : float
+        Standard deviation of the white noise of each disc position [m].
+    noise_u : float
+        Standard deviation of the white noise of each piezo position difference [m].
+    runout_amplitude : (2, n_orders) array
+        a [m], axes x and y down, orders 1, 2, ... across. A few micrometres by default.
+    runout_phase : (2, n_orders) array
+        theta [rad].
+    offset_p : (2,) tuple
+        What the probes show of a centred disc [m].
+    offset_u : (2,) tuple
+        What the gauges show of equal piezos [m].
+    encoder_counts : int or None
+        Counts per turn; the angle is rounded down to a count. None is an ideal encoder.
+
+    Raises
+    ------
+    UsageError
+        For negative noise, shapes that do not fit, fewer than 2 counts.
+    """
+
+    noise_p: float = 30e-9
+    noise_u: float = 10e-9
+    runout_amplitude: FloatArray = field(default_factory=_default_amplitude)
+    runout_phase: FloatArray = field(default_factory=_default_phase)
+    offset_p: tuple[float, float] = (2.0e-6, -3.0e-6)
+    offset_u: tuple[float, float] = (0.5e-6, -0.3e-6)
+    encoder_counts: int | None = 4096
+
+    def __post_init__(self) -> None:
+        for name in ("noise_p", "noise_u"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise UsageError(f"sensors: {name} = {value} m; give a standard deviation of at least zero")
+        for name in ("runout_amplitude", "runout_phase"):
+            array = np.array(getattr(self, name), dtype=float)
+            if array.ndim != 2 or array.shape[0] != 2 or not np.isfinite(array).all():
+                raise UsageError(f"sensors: {name} has shape {array.shape}; give (2, n_orders) finite numbers")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.runout_amplitude.shape != self.runout_phase.shape:
+            raise UsageError(
+                f"sensors: runout_amplitude {self.runout_amplitude.shape} and runout_phase "
+                f"{self.runout_phase.shape} differ in shape"
+            )
+        for name in ("offset_p", "offset_u"):
+            value = tuple(float(v) for v in getattr(self, name))
+            if len(value) != 2 or not np.isfinite(value).all():
+                raise UsageError(f"sensors: {name} = {value} m; give two finite numbers, x and y")
+            object.__setattr__(self, name, value)
+        if self.encoder_counts is not None and self.encoder_counts < 2:
+            raise UsageError(f"sensors: encoder_counts = {self.encoder_counts}; give at least 2, or None")
+
+
+def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
+    """Run-out at shaft angles.
+
+    Parameters
+    ----------
+    sensors : SensorChain
+        The sensors.
+    angle : (n,) array
+        True shaft angle [rad], wrapped or not.
+
+    Returns
+    -------
+    (n, 2) array
+        What x and y show too much [m].
+    """
+    orders = np.arange(1, sensors.runout_amplitude.shape[1] + 1)
+    turned = np.exp(1j * np.outer(angle, orders))
+    phasors = sensors.runout_amplitude * np.exp(1j * sensors.runout_phase)
+    return np.asarray((turned @ phasors.T).real)
+
+
+def encoder_angle(sensors: SensorChain, angle: FloatArray) -> FloatArray:
+    """Angle that the encoder shows, within [0, 2 pi) [rad], shape of `angle`."""
+    turns = np.mod(angle / TURN, 1.0)
+    if sensors.encoder_counts is None:
+        return np.where(turns < 1.0, turns, 0.0) * TURN  # mod rounds tiny negative angles up to 1
+    counts = np.floor(turns * sensors.encoder_counts) % sensors.encoder_counts
+    return np.asarray(counts * (TURN / sensors.encoder_counts))
