@@ -1,0 +1,154 @@
+"""The inputs and outputs of a fit, taken from recordings and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import DataError
+from gbid.recording import Recording
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Record:
+    """Inputs and outputs of one recording.
+
+    Attributes
+    ----------
+    name : str
+    inputs : (n_samples, n_inputs) array
+    outputs : (n_samples, n_outputs) array
+    """
+
+    name: str
+    inputs: FloatArray
+    outputs: FloatArray
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples."""
+        return len(self.outputs)
+
+
+@dataclass(frozen=True, eq=False)
+class FitData:
+    """What a fit works on: one or several records of the same channels and sample time.
+
+    Attributes
+    ----------
+    records : tuple of Record
+    sample_time : float
+        Time between samples [s].
+    input_names, output_names : tuple of str
+        Channel names such as ``u_x``.
+    output_units : tuple of str
+    """
+
+    records: tuple[Record, ...]
+    sample_time: float
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    output_units: tuple[str, ...]
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples in all records."""
+        return sum(record.n_samples for record in self.records)
+
+
+def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list[str], list[str]]:
+    """Take signals or single channels of a recording side by side.
+
+    Parameters
+    ----------
+    recording : Recording
+    names : sequence of str
+        Signals (``"p"``: all channels) or channels (``"p.x"``).
+
+    Returns
+    -------
+    values : (n_samples, n) array
+    channel_names : list of str
+    units : list of str
+
+    Raises
+    ------
+    DataError
+        When the recording lacks a signal or channel.
+    """
+    columns: list[FloatArray] = []
+    labels: list[str] = []
+    units: list[str] = []
+    for name in names:
+        signal, _, channel = name.partition(".")
+        values, channels = (
+            recording.signal(signal),
+            recording.channels[signal],
+        )
+        if channel and channel not in channels:
+            raise DataError(
+                f"recording {recording.name!r}: signal {signal!r} has no channel {channel!r}; "
+                f"it has {', '.join(channels)}"
+            )
+        picked = [channels.index(channel)] if channel else list(range(values.shape[1]))
+        columns.append(values[:, picked])
+        labels += [f"{signal}_{channels[i]}" if len(channels) > 1 else signal for i in picked]
+        units += [recording.units[signal]] * len(picked)
+    return (np.hstack(columns) if columns else np.zeros((recording.n_samples, 0))), labels, units
+
+
+def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int) -> FitData:
+    """Gather a fit's data from recordings and check that they can carry one.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+    inputs, outputs : sequence of str
+        Signals or channels.
+    minimum : int
+        The least number of samples that a record must have.
+
+    Returns
+    -------
+    FitData
+
+    Raises
+    ------
+    DataError
+        When there is none, sample times or channels differ, a record is too short, an input never moves or an
+        output is constant.
+    """
+    if not recordings:
+        raise DataError("no recordings to fit; give at least one")
+    first = recordings[0]
+    records = []
+    names: tuple[list[str], list[str]] | None = None
+    for recording in recordings:
+        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
+            raise DataError(
+                f"recordings {first.name!r} and {recording.name!r} have different sample times: "
+                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one or fit them apart"
+            )
+        u, u_names, _ = select(recording, inputs)
+        y, y_names, y_units = select(recording, outputs)
+        if names is not None and names != (u_names, y_names):
+            raise DataError(f"recordings {first.name!r} and {recording.name!r} have different channels")
+        names = (u_names, y_names)
+        if recording.n_samples < minimum:
+            raise DataError(
+                f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
+            )
+        for label, column in zip(u_names + y_names, np.hstack([u, y]).T, strict=True):
+            if np.ptp(column) == 0:
+                what = "input never moves" if label in u_names else "output is constant: is the sensor connected"
+                raise DataError(
+                    f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the {what}"
+                )
+        records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y)))
+    assert names is not None
+    return FitData(tuple(records), first.sample_time, tuple(names[0]), tuple(names[1]), tuple(y_units))

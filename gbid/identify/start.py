@@ -1,0 +1,218 @@
+"""Start values from the data alone, for the built-in structures.
+
+In the frequency domain a model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients once the delays are
+given, so a fit costs a least squares over some hundred frequencies. What a record's ends add to the transform
+of a derivative is a polynomial in s and is estimated along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import singledispatch
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.optimize import minimize
+
+from gbid.errors import DataError, UsageError
+from gbid.identify.data import FitData, Record
+from gbid.structure import PiezoPair, Plant, RotorBearing, evaluate
+from gbid.structure.rotor_bearing import AXES, PAIRS
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+@singledispatch
+def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG001
+    """Find start values of the parameters that have none.
+
+    Parameters
+    ----------
+    structure : Structure
+        A built-in structure; one of a user's own must state its starts.
+    data : FitData
+    given : dict of str to float
+        Values that are known already (fixed, or a user's own start).
+
+    Returns
+    -------
+    dict of str to float
+        Values by name, `given` included.
+
+    Raises
+    ------
+    UsageError
+        When the structure has no way to find them.
+    """
+    missing = [q.name for q in structure.parameters if q.name not in given]
+    if missing:
+        raise UsageError(f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start")
+    return dict(given)
+
+
+@start_values.register
+def _(structure: RotorBearing, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    return {**_rotor_bearing(structure, data.records, data.sample_time), **given}
+
+
+@start_values.register
+def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    found: dict[str, float] = {}
+    for i, axis in enumerate(AXES):
+        slow, fast, gain = _second_order_lag(data.records, i, data.sample_time)
+        found |= {f"p1_{axis}": slow, f"p2_{axis}": fast, f"kappa_{axis}": gain}
+    return {**_zero_unless_found(structure, found), **given}
+
+
+@start_values.register
+def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    if "u" in structure.outputs:
+        actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
+        bearing_records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
+        actuators = start_values(structure.actuators, _like(data, actuator_records), {})
+        found = {**actuators, **_rotor_bearing(structure.bearing, bearing_records, data.sample_time)}
+        return {**found, **given}
+    needed = [q.name for q in structure.actuators.parameters if q.name not in given]
+    if needed:
+        raise UsageError(
+            f"structure {structure.name!r} from r to p alone cannot tell the actuators from the bearing: "
+            f"hold {', '.join(needed)} (fixed=...) or explain u as well"
+        )
+    model = evaluate(structure.actuators, given)
+    records = tuple(
+        Record(r.name, model.simulate(r.inputs, data.sample_time, intersample="zoh"), r.outputs) for r in data.records
+    )
+    return {**_rotor_bearing(structure.bearing, records, data.sample_time), **given}
+
+
+def _like(data: FitData, records: tuple[Record, ...]) -> FitData:
+    return FitData(records, data.sample_time, (), (), ())
+
+
+def _zero_unless_found(structure: Any, found: Mapping[str, float]) -> dict[str, float]:
+    return {q.name: found.get(q.name, 0.0) for q in structure.parameters}
+
+
+def _spectrum(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
+    """Angular frequencies (n_f,) and transforms (n_f, n) of a record's samples, without the mean."""
+    transform = np.fft.rfft(values - values.mean(0), axis=0) * sample_time
+    return 2 * np.pi * np.fft.rfftfreq(len(values), sample_time), transform
+
+
+def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
+    """Band around the strongest response to the input [rad/s]: where the two modes show."""
+    totals: dict[int, FloatArray] = {}
+    resolution = 2.0  # Hz: wide enough to smooth, narrow against the distance of modes from zero
+    for record in records:
+        omega, P = _spectrum(record.outputs, sample_time)
+        bins = (omega / (2 * np.pi * resolution)).astype(int)
+        power = np.bincount(bins, (np.abs(P) ** 2).sum(1))
+        totals[len(power)] = totals.get(len(power), np.zeros(len(power))) + power
+    power = max(totals.values(), key=len)
+    power[: int(10 / resolution)] = 0.0  # drift and creep are no resonance
+    peak = 2 * np.pi * resolution * (int(np.argmax(power)) + 0.5)
+    return 0.3 * peak, 2.5 * peak
+
+
+def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
+    """Least squares for K, D, B given the delays; a grid and a simplex over the two delays."""
+    low, high = _resonance_band(records, sample_time)
+    known, targets, drives, omegas = [], [], [], []
+    n_records = len(records)
+    for i, record in enumerate(records):
+        omega, U = _spectrum(record.inputs, sample_time)
+        _, P = _spectrum(record.outputs, sample_time)
+        keep = (omega >= low) & (omega <= high)
+        s = 1j * omega[keep, None]
+        ends = np.zeros((len(s), 2 * n_records), complex)
+        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
+        known.append(np.hstack([P[keep], s * P[keep], ends]) / s**2)
+        targets.append(P[keep])
+        drives.append(U[keep] / s**2)
+        omegas.append(omega[keep])
+    omega = np.concatenate(omegas)
+    if len(omega) < 20:
+        raise DataError(
+            f"recording {records[0].name!r}: only {len(omega)} frequencies around the resonance; record for longer"
+        )
+    base, target = (_real(np.concatenate(parts)) for parts in (known, targets))
+    # Columns of s-powers differ by orders of magnitude; scaled, the projection is exact to rounding.
+    size = np.linalg.norm(base, axis=0)
+    basis, triangle = np.linalg.qr(base / size)
+    rest = target - basis @ (basis.T @ target)
+    complex_drive = np.concatenate(drives)
+
+    def delayed(tau: FloatArray) -> FloatArray:
+        return _real(complex_drive * np.exp(-1j * omega[:, None] * tau))
+
+    def misfit(tau: FloatArray) -> float:
+        columns = delayed(tau)
+        columns = columns - basis @ (basis.T @ columns)
+        gain = np.linalg.lstsq(columns, rest, rcond=None)[0]
+        return float(((rest - columns @ gain) ** 2).sum())
+
+    bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
+    longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
+    grid = np.linspace(0.0, longest, 9)
+    best = min(((misfit(np.array([a, b])), a, b) for a in grid for b in grid), key=lambda item: item[0])
+    step = grid[1] / 2
+    simplex = np.array([best[1:], (best[1] + step, best[2]), (best[1], best[2] + step)])
+    options = {"initial_simplex": simplex, "xatol": 1e-7, "fatol": 0.0, "maxiter": 200}
+    tau = minimize(misfit, best[1:], method="Nelder-Mead", options=options).x
+    tau = np.array(
+        [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]
+    )
+
+    columns = delayed(tau)
+    projected = columns - basis @ (basis.T @ columns)
+    gain = np.linalg.lstsq(projected, rest, rcond=None)[0]
+    rest_of_base = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
+    found = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
+    for letter, matrix in zip("kdb", (rest_of_base[:2].T, rest_of_base[2:4].T, gain.T), strict=True):
+        found |= {f"{letter}_{pair}": float(v) for pair, v in zip(PAIRS, matrix.ravel(), strict=True)}
+    return _zero_unless_found(structure, found)
+
+
+def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: float) -> tuple[float, float, float]:
+    """Poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r held between samples."""
+    rows, targets = [], []
+    n_records = len(records)
+    for i, record in enumerate(records):
+        omega, R = _spectrum(record.inputs[:, [channel]], sample_time)
+        _, U = _spectrum(record.outputs[:, [channel]], sample_time)
+        keep = (omega > 0) & (omega < 0.4 * np.pi / sample_time)
+        s = 1j * omega[keep, None]
+        held = R[keep] * (1 - np.exp(-s * sample_time)) / (s * sample_time)
+        ends = np.zeros((len(s), 2 * n_records), complex)
+        ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
+        rows.append(np.hstack([held, -s * U[keep], -(s**2) * U[keep], ends]))
+        targets.append(U[keep])
+    base, target = np.concatenate(rows), np.concatenate(targets)
+    s = np.concatenate([row[:, 1:2] / -t for row, t in zip(rows, targets, strict=True)])
+    a1, a2, gain = 0.0, 0.0, 0.0
+    for _ in range(4):  # Sanathanan-Koerner: weigh by the last denominator, which makes it an output error
+        weight = 1 / (1 + a1 * s + a2 * s**2)
+        columns = _real(base * weight)
+        size = np.linalg.norm(columns, axis=0)
+        gain, a1, a2 = (np.linalg.lstsq(columns / size, _real(target * weight)[:, 0], rcond=None)[0] / size)[:3]
+    return (*_real_poles(a1, a2, sample_time), float(gain))
+
+
+def _real_poles(a1: float, a2: float, sample_time: float) -> tuple[float, float]:
+    """Slow and fast pole of ``1 + a1 s + a2 s^2``, the nearest real pair where they are complex or unstable."""
+    fastest = 10 / sample_time
+    a1 = max(a1, 2 / fastest)
+    if a2 <= 0:
+        return float(np.clip(1 / a1, 1.0, fastest)), fastest
+    root = a1**2 - 4 * a2
+    if root <= 0:
+        middle = 1 / np.sqrt(a2)
+        return float(0.8 * middle), float(1.25 * middle)
+    slow, fast = 2 / (a1 + np.sqrt(root)), (a1 + np.sqrt(root)) / (2 * a2)
+    return float(min(slow, fastest)), float(min(fast, fastest))
+
+
+def _real(values: ComplexArray) -> FloatArray:
+    return np.vstack([values.real, values.imag])

@@ -1,0 +1,154 @@
+"""Fit results in HDF5. The tree is documented in docs/file-formats.md."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+from gbid import hdf5
+from gbid.identify.result import FitResult
+from gbid.structure import LinearModel
+
+KIND = "fit"
+_TEXT = h5py.string_dtype()
+
+
+def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:
+    """Write a fit result to an HDF5 file.
+
+    Parameters
+    ----------
+    result : FitResult
+    path : path
+        The file; missing folders are made.
+    overwrite : bool
+        Whether an existing file may be replaced.
+    key : str
+        What the result was made from, as a caller may want to know it again.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set.
+    DataError
+        When the file cannot be written.
+    """
+    with hdf5.writing(path, KIND, overwrite) as file:
+        attributes = {
+            "key": key,
+            "structure": result.structure,
+            "status": result.status,
+            "success": result.success,
+            "iterations": result.iterations,
+            "options": json.dumps(dict(result.options)),
+        }
+        file.attrs.update(attributes)
+        for name, texts in (("recordings", result.recordings), ("notes", result.notes)):
+            file.attrs.create(name, list(texts), shape=(len(texts),), dtype=_TEXT)
+        scalars = (
+            ("loss", result.loss, "", "criterion at the estimate"),
+            ("wall_time_s", result.wall_time_s, "s", "time that the fit took"),
+            ("sample_time", result.sample_time, "s", "time between samples"),
+            ("fit_percent", result.fit_percent, "%", "fit, recordings by outputs"),
+            ("error_covariance", result.error_covariance, "", "mean square of the errors"),
+            ("initial_states", result.initial_states, "", "initial state of each recording"),
+        )
+        for name, values, unit, long_name in scalars:
+            hdf5.add_dataset(file, name, values, unit, long_name)
+        _write_parameters(file.create_group("parameters"), result)
+        _write_model(file.create_group("model"), result.model)
+
+
+def load_fit(path: str | Path) -> FitResult:
+    """Read a fit result from an HDF5 file.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    DataError
+        When the file is missing, damaged, incomplete or of another kind.
+    """
+    with hdf5.reading(path, KIND) as file:
+        parameters = file["parameters"]
+        names = _texts(parameters, "names")
+        numbers = {
+            column: dict(zip(names, hdf5.read_dataset(parameters, column).tolist(), strict=True))
+            for column in ("estimate", "std", "start")
+        }
+        attribute = hdf5.read_attribute
+        return FitResult(
+            structure=str(attribute(file, "structure")),
+            recordings=_texts(file, "recordings"),
+            parameters=numbers["estimate"],
+            std=numbers["std"],
+            units=dict(zip(names, _texts(parameters, "units"), strict=True)),
+            free=_texts(parameters, "free"),
+            covariance=hdf5.read_dataset(parameters, "covariance"),
+            initial_states=hdf5.read_dataset(file, "initial_states"),
+            loss=float(hdf5.read_dataset(file, "loss")),
+            error_covariance=hdf5.read_dataset(file, "error_covariance"),
+            fit_percent=hdf5.read_dataset(file, "fit_percent"),
+            status=str(attribute(file, "status")),
+            success=bool(attribute(file, "success")),
+            iterations=int(attribute(file, "iterations")),
+            wall_time_s=float(hdf5.read_dataset(file, "wall_time_s")),
+            start=numbers["start"],
+            notes=_texts(file, "notes"),
+            options=json.loads(str(attribute(file, "options"))),
+            model=_read_model(file["model"]),
+            sample_time=float(hdf5.read_dataset(file, "sample_time")),
+        )
+
+
+def _write_parameters(group: h5py.Group, result: FitResult) -> None:
+    names = list(result.parameters)
+    for key, texts in (
+        ("names", names),
+        ("units", [result.units[name] for name in names]),
+        ("free", list(result.free)),
+    ):
+        group.attrs.create(key, texts, shape=(len(texts),), dtype=_TEXT)
+    columns = (
+        ("estimate", result.parameters, "estimates in the order of the attribute names"),
+        ("std", result.std, "standard deviations; 0 fixed, nan none"),
+        ("start", result.start, "start values"),
+    )
+    for column, values, long_name in columns:
+        hdf5.add_dataset(group, column, [values[name] for name in names], "as attribute units", long_name)
+    hdf5.add_dataset(group, "covariance", result.covariance, "as attribute units", "covariance of the free parameters")
+
+
+def _write_model(group: h5py.Group, model: LinearModel) -> None:
+    group.attrs["name"] = model.name
+    for key in ("input_names", "output_names", "state_names"):
+        group.attrs.create(key, list(getattr(model, key)), dtype=_TEXT)
+    for letter in "ABCDK":
+        matrix = getattr(model, letter)
+        if matrix is not None:
+            hdf5.add_dataset(group, letter, matrix, "SI", f"matrix {letter} of the continuous model")
+
+
+def _read_model(group: h5py.Group) -> LinearModel:
+    matrices = {letter: hdf5.read_dataset(group, letter) for letter in "ABCD"}
+    return LinearModel(
+        **matrices,
+        K=hdf5.read_dataset(group, "K") if "K" in group else None,
+        name=str(hdf5.read_attribute(group, "name")),
+        input_names=_texts(group, "input_names"),
+        output_names=_texts(group, "output_names"),
+        state_names=_texts(group, "state_names"),
+    )
+
+
+def _texts(item: h5py.HLObject, name: str) -> tuple[str, ...]:
+    return tuple(str(text) for text in np.atleast_1d(hdf5.read_attribute(item, name)))

@@ -1,0 +1,24 @@
+"""How much of a signal a model explains."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def fit_percent(measured: FloatArray, simulated: FloatArray) -> FloatArray:
+    """Fit in percent, ``100 (1 - |y - yhat| / |y - mean y|)``, per output.
+
+    Parameters
+    ----------
+    measured, simulated : (n_samples, n_outputs) array
+
+    Returns
+    -------
+    (n_outputs,) array
+        100 for a perfect model, 0 for one no better than the mean.
+    """
+    error = np.linalg.norm(measured - simulated, axis=0)
+    return np.asarray(100 * (1 - error / np.linalg.norm(measured - measured.mean(axis=0), axis=0)))
