@@ -36,7 +36,7 @@ class Exponentials(NamedTuple):
 
 
 def _identity_like(Z: Any) -> Any:
-    return np.eye(Z.shape[0]) if isinstance(Z, np.ndarray) else ca.SX.eye(Z.shape[0])
+    return ca.SX.eye(Z.shape[0]) if isinstance(Z, ca.SX) else np.eye(Z.shape[0])
 
 
 def exponentials(Z: Any, squarings: int) -> Exponentials:
@@ -44,7 +44,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
 
     Parameters
     ----------
-    Z : (n, n) casadi.SX or numpy array
+    Z : (n, n) casadi.SX, numpy array or Dual
         The matrix, already multiplied by the sample time.
     squarings : int
         Number of doublings, as `squarings_for` gives.
@@ -61,7 +61,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
         powers.append(powers[-1] @ Z)
     coefficients = [1.0 / factorial(k + 2) for k in range(TAYLOR_ORDER + 1)]
     blocks = [
-        sum(coefficients[start + i] * powers[i] for i in range(_BLOCK))
+        _weighted_sum(coefficients[start : start + _BLOCK], powers)
         for start in range(0, TAYLOR_ORDER + 1, _BLOCK)
     ]
     phi2 = blocks[-1]
@@ -74,6 +74,13 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
         phi1 = (exp + eye) @ phi1 / 2.0
         exp = exp @ exp
     return Exponentials(exp, phi1, phi2)
+
+
+def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
+    total = weights[0] * matrices[0]
+    for weight, matrix in zip(weights[1:], matrices[1:], strict=False):
+        total = total + weight * matrix
+    return total
 
 
 def squarings_for(matrices: Iterable[npt.NDArray[np.float64]]) -> int:

@@ -88,7 +88,7 @@ def discretise(
             raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
         squarings = squarings_for([A * sample_time])
     exp, phi1, phi2 = exponentials(A * sample_time, squarings)
-    linear = np.diag([float(h == "foh") for h in holds])
+    linear: Any = np.diag([float(h == "foh") for h in holds])
     if not numeric:
         linear = ca.sparsify(ca.SX(linear))
     held = sample_time * (phi1 @ B)

@@ -53,7 +53,7 @@ class Blocks:
     @property
     def n_blocks(self) -> int:
         """Number of blocks."""
-        return self.z.shape[2]
+        return int(self.z.shape[2])
 
     @property
     def n_windows(self) -> int:
@@ -88,7 +88,9 @@ def cut(data: FitData, predictor: Predictor, window: int | None) -> Blocks:
     per_window = -(-window // LONGEST_BLOCK)
     length = -(-window // per_window)
     z_parts, y_parts, used_parts = [], [], []
-    first, size, record_first = [], [], []
+    first: list[int] = []
+    size: list[int] = []
+    record_first: list[int] = []
     n_blocks = 0
     for record in data.records:
         count = -(-record.n_samples // length)

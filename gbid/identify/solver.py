@@ -198,7 +198,7 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
     return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
 
 
-class _Oracle(ca.Callback):  # type: ignore[misc]
+class _Oracle(ca.Callback):
     """A Python function with named, shaped arguments, as CasADi wants it."""
 
     def __init__(
@@ -234,7 +234,7 @@ class _Oracle(ca.Callback):  # type: ignore[misc]
         return self._call(*arguments)
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
+class _Watch(ca.Callback):
     """Called at each iteration: reports, applies the paper's stopping rule, answers Ctrl-C."""
 
     def __init__(
@@ -271,7 +271,7 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         gaps = np.asarray(values["g"], float)
         step = np.inf
         if self._previous is not None:
-            step = float(np.linalg.norm(theta - self._previous) / max(np.linalg.norm(theta), 1e-300))
+            step = float(np.linalg.norm(theta - self._previous)) / max(float(np.linalg.norm(theta)), 1e-300)
         self._previous = theta
         now = Progress(len(self.history), float(values["f"]), float(np.abs(gaps).max(initial=0.0)), step)
         self.history.append(now)

@@ -98,7 +98,7 @@ def _zero_unless_found(structure: Any, found: Mapping[str, float]) -> dict[str, 
 def _spectrum(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
     """Angular frequencies (n_f,) and transforms (n_f, n) of a record's samples, without the mean."""
     transform = np.fft.rfft(values - values.mean(0), axis=0) * sample_time
-    return 2 * np.pi * np.fft.rfftfreq(len(values), sample_time), transform
+    return np.asarray(2 * np.pi * np.fft.rfftfreq(len(values), sample_time), float), transform
 
 
 def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
@@ -108,9 +108,9 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
     for record in records:
         omega, P = _spectrum(record.outputs, sample_time)
         bins = (omega / (2 * np.pi * resolution)).astype(int)
-        power = np.bincount(bins, (np.abs(P) ** 2).sum(1))
-        totals[len(power)] = totals.get(len(power), np.zeros(len(power))) + power
-    power = max(totals.values(), key=len)
+        binned = np.bincount(bins, (np.abs(P) ** 2).sum(1))
+        totals[len(binned)] = totals.get(len(binned), np.zeros(len(binned))) + binned
+    power = totals[max(totals)]
     power[: int(10 / resolution)] = 0.0  # drift and creep are no resonance
     peak = 2 * np.pi * resolution * (int(np.argmax(power)) + 0.5)
     return 0.3 * peak, 2.5 * peak
@@ -177,7 +177,9 @@ def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_
 
 def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: float) -> tuple[float, float, float]:
     """Poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r held between samples."""
-    rows, targets = [], []
+    rows: list[ComplexArray] = []
+    targets: list[ComplexArray] = []
+    laplace: list[ComplexArray] = []
     n_records = len(records)
     for i, record in enumerate(records):
         omega, R = _spectrum(record.inputs[:, [channel]], sample_time)
@@ -189,9 +191,9 @@ def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: fl
         ends[:, 2 * i : 2 * i + 2] = np.hstack([np.ones_like(s), s])
         rows.append(np.hstack([held, -s * U[keep], -(s**2) * U[keep], ends]))
         targets.append(U[keep])
-    base, target = np.concatenate(rows), np.concatenate(targets)
-    s = np.concatenate([row[:, 1:2] / -t for row, t in zip(rows, targets, strict=True)])
-    a1, a2, gain = 0.0, 0.0, 0.0
+        laplace.append(np.asarray(s, complex))
+    base, target, s = (np.concatenate(parts) for parts in (rows, targets, laplace))
+    a1 = a2 = gain = 0.0
     for _ in range(4):  # Sanathanan-Koerner: weigh by the last denominator, which makes it an output error
         weight = 1 / (1 + a1 * s + a2 * s**2)
         columns = _real(base * weight)

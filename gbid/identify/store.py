@@ -139,9 +139,12 @@ def _write_model(group: h5py.Group, model: LinearModel) -> None:
 
 
 def _read_model(group: h5py.Group) -> LinearModel:
-    matrices = {letter: hdf5.read_dataset(group, letter) for letter in "ABCD"}
+    A, B, C, D = (hdf5.read_dataset(group, letter) for letter in "ABCD")
     return LinearModel(
-        **matrices,
+        A,
+        B,
+        C,
+        D,
         K=hdf5.read_dataset(group, "K") if "K" in group else None,
         name=str(hdf5.read_attribute(group, "name")),
         input_names=_texts(group, "input_names"),

@@ -92,7 +92,8 @@ class RotorBearing:
 
     def _gain(self, p: Values) -> ca.SX:
         entries = [p.get(f"bd_{pair}", 0) for pair in PAIRS]
-        return ca.sparsify(ca.SX(ca.vertcat(ca.horzcat(*entries[:2]), ca.horzcat(*entries[2:]))))
+        rows = ca.vertcat(ca.horzcat(*entries[:2]), ca.horzcat(*entries[2:]))
+        return ca.SX(ca.sparsify(ca.SX(rows)))
 
 
 def _square(p: Values, letter: str) -> ca.SX:

@@ -1,0 +1,85 @@
+"""Matrices that carry their derivatives with respect to some parameters along."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Dual:
+    """A matrix and its derivatives, closed under the operations that discretisation needs.
+
+    Forward differentiation: every formula written for arrays gives value and derivatives when it is handed
+    duals. Operands may be plain arrays or numbers, whose derivatives are zero.
+
+    Parameters
+    ----------
+    value : (n, m) array
+    slope : (n_parameters, n, m) array
+        Derivative with respect to each parameter.
+    """
+
+    __slots__ = ("slope", "value")
+    __array_ufunc__ = None  # numpy arrays on the left leave the operation to this class
+
+    def __init__(self, value: FloatArray, slope: FloatArray) -> None:
+        self.value = value
+        self.slope = slope
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Shape of the value."""
+        return self.value.shape
+
+    def __matmul__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value @ other.value, self.slope @ other.value + self.value @ other.slope)
+        return Dual(self.value @ other, self.slope @ other)
+
+    def __rmatmul__(self, other: FloatArray) -> Dual:
+        return Dual(other @ self.value, other @ self.slope)
+
+    def __add__(self, other: Any) -> Dual:
+        if isinstance(other, Dual):
+            return Dual(self.value + other.value, self.slope + other.slope)
+        return Dual(self.value + other, self.slope)
+
+    __radd__ = __add__
+
+    def __neg__(self) -> Dual:
+        return Dual(-self.value, -self.slope)
+
+    def __sub__(self, other: Any) -> Dual:
+        return self + (-other)
+
+    def __rsub__(self, other: Any) -> Dual:
+        return -self + other
+
+    def __mul__(self, factor: Any) -> Dual:
+        """Multiply by a number, or by a dual of shape (1, 1) or of a row (1, m) that scales columns."""
+        if isinstance(factor, Dual):
+            return Dual(self.value * factor.value, self.slope * factor.value + self.value * factor.slope)
+        return Dual(self.value * factor, self.slope * factor)
+
+    __rmul__ = __mul__
+
+    def __truediv__(self, number: float) -> Dual:
+        return Dual(self.value / number, self.slope / number)
+
+    def columns(self, index: Any) -> Dual:
+        """Some columns, as an array indexed by ``[:, index]``."""
+        return Dual(self.value[:, index], self.slope[:, :, index])
+
+
+def constant(value: FloatArray, n_parameters: int) -> Dual:
+    """Return a dual whose derivatives are zero."""
+    return Dual(value, np.zeros((n_parameters, *value.shape)))
+
+
+def side_by_side(parts: list[Dual]) -> Dual:
+    """Join duals of the same height into one."""
+    return Dual(np.hstack([part.value for part in parts]), np.concatenate([part.slope for part in parts], axis=2))
