@@ -1,16 +1,23 @@
 """Exact discretisation: matrix exponential, zero- and first-order hold, the linear recursion."""
 
+from gbid.discretise.delayed import Taps, delayed_taps
+from gbid.discretise.dual import Dual, constant, side_by_side
 from gbid.discretise.expm import Exponentials, exponentials, squarings_for
 from gbid.discretise.hold import Discrete, Hold, check_holds, discretise
 from gbid.discretise.propagate import propagate
 
 __all__ = [
     "Discrete",
+    "Dual",
     "Exponentials",
     "Hold",
+    "Taps",
     "check_holds",
+    "constant",
+    "delayed_taps",
     "discretise",
     "exponentials",
     "propagate",
+    "side_by_side",
     "squarings_for",
 ]

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gbid.discretise.dual import Dual
 from gbid.discretise.expm import exponentials, squarings_for
 from gbid.errors import UsageError
 
@@ -57,8 +58,8 @@ def discretise(
 
     Parameters
     ----------
-    A : (n, n) casadi.SX or numpy array
-    B : (n, n_inputs) casadi.SX or numpy array
+    A : (n, n) casadi.SX, numpy array or Dual
+    B : (n, n_inputs) casadi.SX, numpy array or Dual
     sample_time : float
         Time between samples [s].
     hold : {"zoh", "foh"} or sequence of these
@@ -82,11 +83,11 @@ def discretise(
     ``G_now = h (phi_1(A h) - phi_2(A h)) B``; held, ``G_now = h phi_1(A h) B``.
     """
     holds = check_holds(hold, B.shape[1])
-    numeric = isinstance(A, np.ndarray)
+    numeric = not isinstance(A, ca.SX)
     if squarings is None:
         if not numeric:
             raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
-        squarings = squarings_for([A * sample_time])
+        squarings = squarings_for([(A.value if isinstance(A, Dual) else A) * sample_time])
     exp, phi1, phi2 = exponentials(A * sample_time, squarings)
     linear: Any = np.diag([float(h == "foh") for h in holds])
     if not numeric:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
@@ -23,11 +23,14 @@ class Record:
     name : str
     inputs : (n_samples, n_inputs) array
     outputs : (n_samples, n_outputs) array
+    conditions : dict of str to float
+        What was held during the recording.
     """
 
     name: str
     inputs: FloatArray
     outputs: FloatArray
+    conditions: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_samples(self) -> int:
@@ -149,6 +152,6 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
                 raise DataError(
                     f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the {what}"
                 )
-        records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y)))
+        records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y), recording.conditions))
     assert names is not None
     return FitData(tuple(records), first.sample_time, tuple(names[0]), tuple(names[1]), tuple(y_units))

@@ -1,4 +1,4 @@
-"""The one-step-ahead predictor of a linear structure, discretised, with its parameter derivatives."""
+"""The predictor of a linear structure, discretised, with its parameter derivatives."""
 
 from __future__ import annotations
 
@@ -10,7 +10,15 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gbid.discretise import check_holds, discretise, squarings_for
+from gbid.discretise import (
+    Dual,
+    Hold,
+    check_holds,
+    constant,
+    delayed_taps,
+    discretise,
+    side_by_side,
+)
 from gbid.errors import UsageError
 from gbid.structure import Parameter, Structure, symbolic_matrices
 
@@ -21,9 +29,8 @@ Focus = Literal["prediction", "simulation"]
 class PredictorValues(NamedTuple):
     """Numbers of the recursion at one parameter vector.
 
-    ``x[k+1] = F x[k] + G z[k]``, ``yhat[k] = C x[k] + H z[k]`` with the regressors
-    ``z[k] = [u[k], u[k+1] of first-order-hold inputs, y[k] when the disturbance gain is in use]``, and the
-    derivatives with respect to the free parameters.
+    ``x[k+1] = F x[k] + G z[k]``, ``yhat[k + horizon - 1] = C x[k] + H z[k]`` with the regressors of
+    `Predictor.regressors`, and the derivatives with respect to the free parameters.
 
     Attributes
     ----------
@@ -35,6 +42,8 @@ class PredictorValues(NamedTuple):
     dG : (n_p, n, n_z)
     dC : (n_p, n_y, n)
     dH : (n_p, n_y, n_z)
+    shift : tuple of int
+        Whole samples in the delay of each delayed input: says which regressors these numbers belong to.
     """
 
     F: FloatArray
@@ -45,6 +54,7 @@ class PredictorValues(NamedTuple):
     dG: FloatArray
     dC: FloatArray
     dH: FloatArray
+    shift: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +67,19 @@ class Predictor:
         The parameters to be estimated, in order.
     unused : tuple of str
         Parameters that this focus does not see (the disturbance gain in simulation focus).
-    n_states, n_inputs, n_outputs, n_z : int
-        Sizes of state, input, output and regressor.
-    lead : tuple of int
-        Inputs whose next sample is a regressor too.
+    n_states, n_inputs, n_outputs : int
+    holds : tuple of {"zoh", "foh"}
+        Behaviour of each input between samples.
+    prompt, delayed : tuple of int
+        Inputs that act at once, and through an exact delay.
     feeds_back : bool
         Whether measured outputs are regressors.
-    squarings : int
-        Doublings in the matrix exponential.
+    offsets : bool
+        Whether the last free parameters are constant offsets of the outputs.
+    horizon : int
+        Steps ahead that are predicted.
+    sample_time : float
+        [s].
     """
 
     free: tuple[Parameter, ...]
@@ -72,48 +87,109 @@ class Predictor:
     n_states: int
     n_inputs: int
     n_outputs: int
-    lead: tuple[int, ...]
+    holds: tuple[Hold, ...]
+    prompt: tuple[int, ...]
+    delayed: tuple[int, ...]
     feeds_back: bool
-    squarings: int
-    _continuous: ca.Function
+    offsets: bool
+    horizon: int
+    sample_time: float
     _function: ca.Function
-    _sample_time: float
+    _shapes: tuple[tuple[int, int], ...]
 
     @property
-    def n_z(self) -> int:
-        """Number of regressors."""
-        return self.n_inputs + len(self.lead) + (self.n_outputs if self.feeds_back else 0)
+    def _lead(self) -> list[int]:
+        """Prompt inputs whose next sample is a regressor too."""
+        return [i for i in self.prompt if self.holds[i] == "foh"]
 
     def at(self, theta: FloatArray) -> PredictorValues:
-        """Evaluate at values of the free parameters, shape (n_free,)."""
-        n, n_y, n_z, n_p = self.n_states, self.n_outputs, self.n_z, len(self.free)
-        raw = self._function(theta)
-        values = [np.asarray(m, float) for m in raw]
-        shapes = [(n, n), (n, n_z), (n_y, n), (n_y, n_z)]
-        # CasADi stacks columns: a flat column-major matrix per parameter.
-        derivatives = [
-            d.reshape(-1, n_p).T.reshape(n_p, shape[1], shape[0]).transpose(0, 2, 1)
-            for d, shape in zip(values[4:], shapes, strict=True)
-        ]
-        return PredictorValues(*(v.reshape(s) for v, s in zip(values[:4], shapes, strict=True)), *derivatives)
+        """Evaluate at values of the free parameters, shape (n_free,).
 
-    def regressors(self, inputs: FloatArray, outputs: FloatArray) -> FloatArray:
-        """Return ``z``, shape (n_samples, n_z), for one record.
-
-        The sample after the last is not known; its place holds the last one, which enters no prediction.
+        Raises
+        ------
+        UsageError
+            For a negative exact delay.
         """
-        parts = [inputs]
-        if self.lead:
-            following = np.vstack([inputs[1:], inputs[-1:]])
-            parts.append(following[:, list(self.lead)])
+        A, B, C, D, K, B_delayed, delay = self._matrices(theta)
+        n_p, n_y = len(self.free), self.n_outputs
+        prompt, lead = list(self.prompt), self._lead
+        acting = [B.columns(prompt)] if prompt else []
         if self.feeds_back:
-            parts.append(outputs)
-        return np.hstack(parts)
+            acting.append(K)
+        holds = [self.holds[i] for i in prompt] + ["zoh"] * (n_y if self.feeds_back else 0)
+        joined = side_by_side(acting) if acting else constant(np.zeros((self.n_states, 0)), n_p)
+        F, now, following = discretise(A, joined, self.sample_time, holds)
+        Kd = now.columns(slice(len(prompt), None))
+        # What the inputs do, without feedback, in the order of the regressors: state part, then output part.
+        drives, shift = [now.columns(slice(0, len(prompt)))], []
+        feeds = [D.columns(prompt)]
+        if lead:
+            drives.append(following.columns([prompt.index(i) for i in lead]))
+            feeds.append(constant(np.zeros((n_y, len(lead))), n_p))
+        for position, i in enumerate(self.delayed):
+            late = Dual(delay.value[position : position + 1], delay.slope[:, position : position + 1])
+            taps = delayed_taps(A, B_delayed.columns([i]), late, self.sample_time, self.holds[i])
+            columns = taps.columns if self.holds[i] == "foh" else taps.columns[1:]
+            drives += columns
+            feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
+            shift.append(taps.shift)
+        if self.offsets:
+            drives.append(constant(np.zeros((self.n_states, 1)), n_p))
+            feeds.append(_offset_column(theta[-n_y:], n_p))
+        drive, feed = side_by_side(drives), side_by_side(feeds)
+        if not self.feeds_back:
+            parts = (F, drive, C, feed)
+        else:
+            none = constant(np.zeros((n_y, n_y)), n_p)
+            parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
+        if self.horizon > 1:
+            parts = _look_ahead(parts, F, drive, C, feed, self.horizon)
+        return PredictorValues(*(m.value for m in parts), *(m.slope for m in parts), tuple(shift))
 
-    def enough_squarings(self, theta: FloatArray) -> bool:
-        """Whether the matrix exponential was built with enough doublings for these parameter values."""
-        A = np.asarray(self._continuous(theta), float)
-        return bool(squarings_for([A * self._sample_time]) <= self.squarings)
+    def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
+        """Regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
+
+        Row k holds: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each delayed input
+        its samples around ``k - shift``; a one where offsets are estimated; ``y[k]`` where the disturbance gain
+        is in use; and all but the last again for the following samples of a longer horizon. Before the record
+        an input is taken to have stood at its first sample; after it, at its last, which enters no prediction.
+        """
+        n = len(inputs)
+
+        def lagged(channels: Sequence[int], lag: int) -> FloatArray:
+            rows = np.clip(np.arange(n) - lag, 0, n - 1)
+            return inputs[np.ix_(rows, list(channels))]
+
+        parts = [inputs[:, list(self.prompt)]]
+        if self._lead:
+            parts.append(lagged(self._lead, -1))
+        for i, d in zip(self.delayed, shift, strict=True):
+            first = d - 1 if self.holds[i] == "foh" else d
+            parts += [lagged([i], lag) for lag in range(first, d + 2)]
+        if self.offsets:
+            parts.append(np.ones((n, 1)))
+        now = np.hstack(parts)
+        z = [now, outputs] if self.feeds_back else [now]
+        rows = n - self.horizon + 1
+        return np.hstack([part[:rows] for part in z] + [now[i : i + rows] for i in range(1, self.horizon)])
+
+    def targets(self, outputs: FloatArray) -> FloatArray:
+        """Outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
+        return outputs[self.horizon - 1 :]
+
+    def _matrices(self, theta: FloatArray) -> list[Dual]:
+        """Continuous matrices with their derivatives."""
+        n_p = len(self.free)
+        flat, jacobian = self._function(theta)
+        flat, jacobian = np.asarray(flat, float)[:, 0], np.asarray(jacobian, float)
+        result, start = [], 0
+        for rows, columns in self._shapes:  # CasADi stacks columns
+            stop = start + rows * columns
+            value = flat[start:stop].reshape(columns, rows).T
+            slope = jacobian[start:stop].T.reshape(n_p, columns, rows).transpose(0, 2, 1)
+            result.append(Dual(np.ascontiguousarray(value), np.ascontiguousarray(slope)))
+            start = stop
+        return result
 
 
 def build_predictor(
@@ -122,9 +198,11 @@ def build_predictor(
     sample_time: float,
     intersample: str | Sequence[str],
     focus: Focus,
-    samples: Sequence[Mapping[str, float]],
+    *,
+    offset_names: Sequence[str] = (),
+    horizon: int = 1,
 ) -> Predictor:
-    """Build the predictor symbolically.
+    """Make a structure ready for a fit.
 
     Parameters
     ----------
@@ -137,8 +215,10 @@ def build_predictor(
         Behaviour of the inputs between samples.
     focus : {"prediction", "simulation"}
         Whether the disturbance gain feeds measured outputs back (Eqs. 10, 15) or the model runs on its own.
-    samples : sequence of dict
-        Parameter values at which the matrix exponential must be exact (the start, corners of the bounds).
+    offset_names : sequence of str
+        One name per output to estimate constant offsets; none otherwise.
+    horizon : int
+        Steps ahead to predict.
 
     Returns
     -------
@@ -159,41 +239,70 @@ def build_predictor(
     holds = check_holds(intersample, m.B.shape[1])
     n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
-    feeds_back = K.nnz() > 0
-    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, K))}
+    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay]
+    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
     if not free:
         raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
-
-    held = {**{name: 0.0 for name in unused}, **fixed}
-    theta = ca.vertcat(*(p[i] for i, q in enumerate(structure.parameters) if q in free))
+    held = {**dict.fromkeys(unused, 0.0), **fixed}
     constants = [(p[i], held[q.name]) for i, q in enumerate(structure.parameters) if q not in free]
-    matrices: list[Any] = [m.A, m.B, m.C, m.D, K]
     if constants:
         symbols, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*symbols)], [ca.vertcat(*numbers)])
-        matrices = [ca.sparsify(matrix) for matrix in matrices]
-    A, B, C, D, K = matrices
+    delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
+    matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
+    offsets = [ca.SX.sym(name) for name in offset_names]
+    theta = ca.vertcat(*(p[i] for i, q in enumerate(structure.parameters) if q in free), *offsets)
+    flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
+    function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
+    prompt = sorted({*_driven(m.B), *_driven(m.D)})
+    return Predictor(
+        free=(*free, *(Parameter(name, 0.0) for name in offset_names)),
+        unused=unused,
+        n_states=n,
+        n_inputs=n_u,
+        n_outputs=n_y,
+        holds=holds,
+        prompt=tuple(prompt),
+        delayed=delayed,
+        feeds_back=K.nnz() > 0,
+        offsets=bool(offset_names),
+        horizon=horizon,
+        sample_time=sample_time,
+        _function=function,
+        _shapes=tuple(matrix.shape for matrix in matrices),
+    )
 
-    continuous = ca.Function("A", [theta], [ca.densify(A)])
-    vectors = [np.array([float(sample[q.name]) for q in free]) for sample in samples]
-    squarings = squarings_for([np.asarray(continuous(v), float) * sample_time for v in vectors])
 
-    joined = ca.horzcat(B, K) if feeds_back else B
-    all_holds = (*holds, *("zoh",) * n_y) if feeds_back else holds
-    discrete = discretise(A, joined, sample_time, all_holds, squarings)
-    lead = tuple(i for i, hold in enumerate(holds) if hold == "foh")
-    now, Kd = discrete.G_now[:, :n_u], discrete.G_now[:, n_u:]
-    F = discrete.F - Kd @ C if feeds_back else discrete.F
-    parts = [now - Kd @ D if feeds_back else now]
-    if lead:
-        parts.append(discrete.G_next[:, list(lead)])
-    if feeds_back:
-        parts.append(Kd)
-    G = ca.horzcat(*parts)
-    H = ca.horzcat(D, ca.SX(n_y, G.shape[1] - n_u))
-    outputs = [F, G, C, H]
-    jacobians = [ca.jacobian(ca.vec(ca.densify(matrix)), theta) for matrix in outputs]
-    function = ca.Function("predictor", [theta], [ca.densify(e) for e in (*outputs, *jacobians)], {"cse": True})
-    return Predictor(free, unused, n, n_u, n_y, lead, feeds_back, squarings, continuous, function, sample_time)
+def _driven(matrix: ca.SX) -> list[int]:
+    """Columns of a matrix that have entries."""
+    return sorted(set(matrix.sparsity().get_triplet()[1]))
+
+
+def _offset_column(offsets: FloatArray, n_p: int) -> Dual:
+    """Column that adds the last parameters to the outputs."""
+    n_y = len(offsets)
+    slope = np.zeros((n_p, n_y, 1))
+    slope[-n_y:, :, 0] = np.eye(n_y)
+    return Dual(offsets[:, None], slope)
+
+
+def _look_ahead(parts: tuple[Dual, ...], A: Any, drive: Any, C: Any, feed: Any, horizon: int) -> tuple[Dual, ...]:
+    """Carry a one-step predictor on, without new measurements, to a longer horizon.
+
+    ``yhat[k+h-1] = C A^(h-1) x[k] + sum_i C A^(h-2-i) drive z[k+i] + feed z[k+h-1]``.
+    """
+    F, G, _, _ = parts
+    n_p = len(F.slope)
+    n_now, n_first = drive.shape[1], G.shape[1]
+    output, columns = C, [feed]  # for z[k+h-1], then backwards
+    for _ in range(horizon - 1):
+        columns.append(output @ drive)
+        output = output @ A
+    columns.reverse()
+    n_y = C.shape[0]
+    feedback = [constant(np.zeros((n_y, n_first - n_now)), n_p)] if n_first > n_now else []
+    H = side_by_side([columns[0], *feedback, *columns[1:]])
+    rest = constant(np.zeros((F.shape[0], (horizon - 1) * n_now)), n_p)
+    return F, side_by_side([G, rest]), output, H

@@ -9,19 +9,40 @@ Jacobian and Gauss-Newton Hessian of an iterate.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from gbid.identify.blocks import Blocks
-from gbid.identify.predictor import Predictor
-from gbid.identify.sweep import residuals, sweep
+from gbid.identify.predictor import Predictor, PredictorValues
+from gbid.identify.sweep import Engine, Sweep, residuals, sweep
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Pieces that share one predictor and the same values of its parameters.
+
+    Attributes
+    ----------
+    predictor : Predictor
+    blocks : Blocks
+    index : (n_p,) integer array
+        Which of the problem's parameters are those of the predictor.
+    engine : Engine
+        Runs the pass.
+    """
+
+    predictor: Predictor
+    blocks: Blocks
+    index: IntArray
+    engine: Engine
 
 
 class Iterate(NamedTuple):
@@ -31,11 +52,11 @@ class Iterate(NamedTuple):
     ----------
     cost : float
     gradient : (n_unknowns,) array
-    gaps : (n_gaps * n,) array
+    gaps : (n_gaps,) array
     jacobian : (n_nonzeros,) array
-        Entries of the Jacobian of the gaps in column order, where `Shooting.jacobian_pattern` has them.
+        Entries of the Jacobian of the gaps, where `Shooting.jacobian_pattern` has them.
     hessian : (n_nonzeros,) array
-        Entries of the upper triangle in column order, where `Shooting.hessian_pattern` has them.
+        Entries of the upper triangle, where `Shooting.hessian_pattern` has them.
     """
 
     cost: float
@@ -46,11 +67,26 @@ class Iterate(NamedTuple):
 
 
 class Pattern(NamedTuple):
-    """Nonzeros of a sparse matrix in column order."""
+    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
 
     shape: tuple[int, int]
     rows: IntArray
     columns: IntArray
+    order: IntArray
+
+
+class Prior(NamedTuple):
+    """What is known of parameters beforehand: normal, independent.
+
+    Attributes
+    ----------
+    mean : (n_p,) array
+    information : (n_p,) array
+        Inverse variances; zero where nothing is known.
+    """
+
+    mean: FloatArray
+    information: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,21 +95,27 @@ class Shooting:
 
     Attributes
     ----------
-    predictor : Predictor
-    blocks : Blocks
+    parts : tuple of Part
+    links : (n_links, 2) integer array
+        Windows, counted over all parts, of which the first must end where the second starts.
     criterion : {"trace", "det"}
+    output_weights : (n_y,) array
+        Weights of the squared errors in the trace.
     output_scale : float
-        Total standard deviation of the outputs.
+        Total weighted standard deviation of the outputs.
     theta_scale : (n_p,) array
     state_scale : (n,) array
+    prior : Prior
     """
 
-    predictor: Predictor
-    blocks: Blocks
+    parts: tuple[Part, ...]
+    links: IntArray
     criterion: Criterion
+    output_weights: FloatArray
     output_scale: float
     theta_scale: FloatArray
     state_scale: FloatArray
+    prior: Prior
     _last: dict[bytes, Iterate] = field(default_factory=dict)
 
     @property
@@ -82,14 +124,34 @@ class Shooting:
         return len(self.theta_scale)
 
     @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.state_scale)
+
+    @cached_property
+    def n_windows(self) -> int:
+        """Number of shooting windows."""
+        return sum(part.blocks.n_windows for part in self.parts)
+
+    @property
     def n_unknowns(self) -> int:
         """Free parameters and window starts."""
-        return self.n_theta + self.blocks.n_windows * self.predictor.n_states
+        return self.n_theta + self.n_windows * self.n_states
 
     @property
     def n_gaps(self) -> int:
         """Number of scalar gap constraints."""
-        return len(self.blocks.linked) * self.predictor.n_states
+        return len(self.links) * self.n_states
+
+    @cached_property
+    def n_samples(self) -> int:
+        """Number of samples in the cost."""
+        return sum(part.blocks.n_samples for part in self.parts)
+
+    @cached_property
+    def first_window(self) -> IntArray:
+        """First window of each part, shape (n_parts + 1,)."""
+        return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
 
     def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
         """Scale parameters (n_p,) and window starts (n_windows, n) into one vector of unknowns."""
@@ -98,34 +160,56 @@ class Shooting:
     def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return parameters (n_p,) and window starts (n_windows, n) in physical units."""
         theta = unknowns[: self.n_theta] * self.theta_scale
-        starts = unknowns[self.n_theta :].reshape(self.blocks.n_windows, -1) * self.state_scale
+        starts = unknowns[self.n_theta :].reshape(self.n_windows, self.n_states) * self.state_scale
         return theta, starts
+
+    def values(self, theta: FloatArray) -> list[PredictorValues]:
+        """Predictors of all parts, shared where parts share them."""
+        met: dict[tuple[int, bytes], PredictorValues] = {}
+        result = []
+        for part in self.parts:
+            own = theta[part.index]
+            key = (id(part.predictor), own.tobytes())
+            if key not in met:
+                met[key] = part.predictor.at(own)
+            result.append(met[key])
+        return result
+
+    def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
+        """One pass over every part; `starts` (n_windows, n)."""
+        return [
+            sweep(v, part.blocks, starts[a:b], weight, part.engine)
+            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
+        ]
+
+    def errors(self, values: list[PredictorValues], starts: FloatArray) -> list[FloatArray]:
+        """Prediction errors of every part in blocks, zero where samples do not count."""
+        return [
+            residuals(v, part.blocks, starts[a:b])
+            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
+        ]
+
+    def error_products(self, values: list[PredictorValues], starts: FloatArray) -> FloatArray:
+        """``sum e e'`` over all parts, (n_y, n_y)."""
+        return np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e, optimize=True) for e in self.errors(values, starts)))
 
     def weight(self, error_products: FloatArray) -> FloatArray:
         """Weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
-        n_y = len(error_products)
         if self.criterion == "trace":
-            return np.eye(n_y) / (float(np.trace(error_products)) + self._floor)
-        return np.asarray(np.linalg.inv(error_products + self._floor * np.eye(n_y)))
+            W = np.diag(self.output_weights)
+            return np.asarray(W / (float(np.trace(W @ error_products)) + self._floor))
+        return np.asarray(np.linalg.inv(error_products + self._floor * np.eye(len(error_products))))
 
     def cost(self, error_products: FloatArray) -> float:
-        """Half the logarithm of the trace or determinant of ``sum e e'``, in units of the outputs' power.
+        """Half the logarithm of the weighted trace or determinant of ``sum e e'``, in units of the outputs' power.
 
         The logarithm moves no optimum, and makes the solver's tolerance one relative to the errors that are left.
         """
         n_y = len(error_products)
         if self.criterion == "trace":
-            return 0.5 * float(np.log((np.trace(error_products) + self._floor) / self._power))
+            total = float(self.output_weights @ np.diag(error_products))
+            return 0.5 * float(np.log((total + self._floor) / self._power))
         return 0.5 * float(np.linalg.slogdet((error_products + self._floor * np.eye(n_y)) / self._power)[1])
-
-    @property
-    def _power(self) -> float:
-        return self.blocks.n_samples * self.output_scale**2
-
-    @property
-    def _floor(self) -> float:
-        """Errors below rounding are no errors: keeps the logarithm finite for data without noise."""
-        return _ROUNDING * self._power
 
     def at(self, unknowns: FloatArray) -> Iterate:
         """Evaluate at a point, or hand back the last evaluation when the point is the same."""
@@ -136,94 +220,131 @@ class Shooting:
             self._last[key] = iterate
         return self._last[key]
 
+    @cached_property
     def jacobian_pattern(self) -> Pattern:
-        """Where the Jacobian of the gaps has entries: all of theta; each start in its own and the previous gap."""
-        n, n_t, linked = self.predictor.n_states, self.n_theta, self.blocks.linked
-        rows = [np.tile(np.arange(self.n_gaps), n_t)]
-        columns = [np.repeat(np.arange(n_t), self.n_gaps)]
-        gap_of = {int(window): i for i, window in enumerate(linked)}
-        for window in range(self.blocks.n_windows):
-            before, own = gap_of.get(window - 1), gap_of.get(window)
-            for j in range(n):
-                here = ([] if before is None else [before * n + j]) + (
-                    [] if own is None else list(range(own * n, own * n + n))
-                )
-                rows.append(np.array(here, dtype=np.int64))
-                columns.append(np.full(len(here), n_t + window * n + j))
-        return Pattern((self.n_gaps, self.n_unknowns), np.concatenate(rows), np.concatenate(columns))
+        """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
+        n, n_t = self.n_states, self.n_theta
+        rows, columns = [], []
+        for link_rows, windows, part in self._links_by_part:
+            own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
+            rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
+            columns += [
+                np.broadcast_to(part.index, rows[-2].shape),
+                np.broadcast_to((n_t + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
+            ]
+        following = np.arange(self.n_gaps)
+        rows.append(following)
+        columns.append((n_t + self.links[:, 1:] * n + np.arange(n)).ravel())
+        return _in_column_order((self.n_gaps, self.n_unknowns), rows, columns)
 
+    @cached_property
     def hessian_pattern(self) -> Pattern:
         """Where the upper triangle of the Hessian has entries: an arrow."""
-        n, n_t = self.predictor.n_states, self.n_theta
-        theta_rows = [np.arange(j + 1) for j in range(n_t)]
-        rows, columns = list(theta_rows), [np.full(j + 1, j) for j in range(n_t)]
-        for window in range(self.blocks.n_windows):
-            first = n_t + window * n
-            for j in range(n):
-                rows.append(np.concatenate([np.arange(n_t), first + np.arange(j + 1)]))
-                columns.append(np.full(n_t + j + 1, first + j))
-        return Pattern((self.n_unknowns, self.n_unknowns), np.concatenate(rows), np.concatenate(columns))
+        n, n_t = self.n_states, self.n_theta
+        rows, columns = [self._theta_pairs[0]], [self._theta_pairs[1]]
+        upper = np.triu_indices(n)
+        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
+            base = n_t + np.arange(first, last) * n
+            shape = (last - first, len(part.index), n)
+            rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
+            columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+        return _in_column_order((self.n_unknowns, self.n_unknowns), rows, columns)
+
+    @property
+    def _power(self) -> float:
+        return self.n_samples * self.output_scale**2
+
+    @property
+    def _floor(self) -> float:
+        """Errors below rounding are no errors: keeps the logarithm finite for data without noise."""
+        return _ROUNDING * self._power
+
+    @property
+    def _prior_weight(self) -> float:
+        """The cost is the negative log-likelihood over this number."""
+        n_y = len(self.output_weights)
+        return self.n_samples * (n_y if self.criterion == "trace" else 1)
+
+    @cached_property
+    def _links_by_part(self) -> list[tuple[IntArray, IntArray, Part]]:
+        """Links that start in each part: their rows, their first windows, the part."""
+        result = []
+        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
+            own = np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last))
+            result.append((own, self.links[own, 0], part))
+        return result
+
+    @cached_property
+    def _theta_pairs(self) -> tuple[IntArray, IntArray]:
+        """Pairs of parameters that meet in some part, upper triangle."""
+        meet = np.eye(self.n_theta, dtype=bool)
+        for part in self.parts:
+            meet[np.ix_(part.index, part.index)] = True
+        rows, columns = np.nonzero(np.triu(meet))
+        return rows, columns
 
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
-        with np.errstate(over="ignore", invalid="ignore"):  # a wild trial point gives inf: the solver steps back
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
             theta, starts = self.unpack(unknowns)
-            values = self.predictor.at(theta)
+            values = self.values(theta)
             if self.criterion == "trace":  # the weight is a number: it can follow the pass
-                unit = np.eye(self.predictor.n_outputs)
-                s = sweep(values, self.blocks, starts, unit / self._power)
-                factor = self._power / (float(np.trace(s.error_products)) + self._floor)
+                W = np.diag(self.output_weights)
+                sweeps = self.sweeps(values, starts, W / self._power)
+                products = np.asarray(sum(s.error_products for s in sweeps))
+                factor = self._power / (float(np.trace(W @ products)) + self._floor)
             else:
-                error = residuals(values, self.blocks, starts)
-                products = np.einsum("kyw,kzw->yz", error, error, optimize=True)
+                products = self.error_products(values, starts)
                 if not np.isfinite(products).all():
                     return self._invalid()
-                s, factor = sweep(values, self.blocks, starts, self.weight(products)), 1.0
-            linked, n = self.blocks.linked, self.predictor.n_states
-            gaps = (s.end[linked] - starts[linked + 1]) / self.state_scale
-            t, x = self.theta_scale, self.state_scale
-            hessian = s.hessian * (factor * np.outer(t, t))
-            mixed = s.hessian_mixed * (factor * t[:, None] * x)
+                sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
+            return self._assembled(theta, starts, sweeps, products, factor)
+
+    def _assembled(
+        self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
+    ) -> Iterate:
+        """Put the parts' sums in their places, scaled."""
+        t, x = self.theta_scale, self.state_scale
+        upper = np.triu_indices(self.n_states)
+        gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
+        starts_gradient, arrow, jacobian = [], [], []
+        ends = np.concatenate([s.end for s in sweeps])
+        for s, part, (own, windows, _), first in zip(
+            sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
+        ):
+            gradient[part.index] += s.gradient
+            hessian[np.ix_(part.index, part.index)] += s.hessian
+            starts_gradient.append(s.gradient_start * (factor * x))
+            mixed = s.hessian_mixed * (factor * t[part.index, None] * x)
             start = s.hessian_start * (factor * np.outer(x, x))
-            end_theta = s.end_theta[linked] / x[:, None] * t
-            end_start = s.end_start[linked] / x[:, None] * x
-            return Iterate(
-                self.cost(s.error_products),
-                np.concatenate([s.gradient * (factor * t), (s.gradient_start * (factor * x)).ravel()]),
-                gaps.ravel(),
-                np.concatenate([end_theta.reshape(-1, self.n_theta).T.ravel(), self._start_entries(end_start)]),
-                np.concatenate([hessian.T[np.tril_indices(self.n_theta)], _arrow_entries(mixed, start, n)]),
-            )
-
-    def _start_entries(self, end_start: FloatArray) -> FloatArray:
-        """Entries of the Jacobian with respect to the starts, in the pattern's order."""
-        n = self.predictor.n_states
-        gap_of = {int(window): i for i, window in enumerate(self.blocks.linked)}
-        minus_one = np.full((n, 1), -1.0)
-        parts = []
-        for window in range(self.blocks.n_windows):
-            before, own = gap_of.get(window - 1), gap_of.get(window)
-            columns = [] if before is None else [minus_one]
-            if own is not None:
-                columns.append(end_start[own].T)
-            if columns:
-                parts.append(np.hstack(columns).ravel())
-        return np.concatenate(parts) if parts else np.zeros(0)
-
-    def _invalid(self) -> Iterate:
-        n_jac, n_hess = len(self.jacobian_pattern().rows), len(self.hessian_pattern().rows)
-        nan = np.nan
+            arrow += [mixed.ravel(), start[:, upper[0], upper[1]].ravel()]
+            local = windows - first
+            jacobian += [
+                (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
+                (s.end_start[local] / x[:, None] * x).ravel(),
+            ]
+            assert len(own) == len(local)
+        away = theta - self.prior.mean
+        known = self.prior.information / self._prior_weight
+        gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
+        gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
+        hessian_entries = np.concatenate([(hessian * np.outer(t, t))[self._theta_pairs], *arrow])
+        jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
         return Iterate(
-            nan,
-            np.full(self.n_unknowns, nan),
-            np.full(self.n_gaps, nan),
-            np.full(n_jac, nan),
-            np.full(n_hess, nan),
+            self.cost(products) + 0.5 * float(known @ away**2),
+            np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
+            gaps.ravel(),
+            jacobian_entries[self.jacobian_pattern.order],
+            hessian_entries[self.hessian_pattern.order],
         )
 
+    def _invalid(self) -> Iterate:
+        sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
+        return Iterate(np.nan, *(np.full(size, np.nan) for size in sizes))
 
-def _arrow_entries(mixed: FloatArray, start: FloatArray, n: int) -> FloatArray:
-    """Columns of the window starts: the parameters' rows, then the upper triangle of the window's own block."""
-    by_column = np.concatenate([mixed.transpose(0, 2, 1), start.transpose(0, 2, 1)], axis=2)  # (W, n, n_p + n)
-    n_p = mixed.shape[1]
-    keep = np.concatenate([np.ones((n, n_p), bool), np.tri(n, dtype=bool)], axis=1)
-    return np.asarray(by_column[:, keep].ravel())
+
+def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
+    """Order entries by column, then row."""
+    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
+    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
+    order = np.lexsort((row, column))
+    return Pattern(shape, row[order], column[order], order)

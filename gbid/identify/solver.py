@@ -116,7 +116,7 @@ def solve(
     n, m = problem.n_unknowns, problem.n_gaps
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
     gaps = ca.Sparsity.dense(m, 1)
-    jacobian, hessian = _sparsity(problem.jacobian_pattern()), _sparsity(problem.hessian_pattern())
+    jacobian, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
     point = [("x", vector), ("p", empty)]
     multipliers = [("lam_f", scalar), ("lam_g", gaps)]
 

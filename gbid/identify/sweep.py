@@ -15,7 +15,7 @@ costs no more than multiple shooting.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +24,6 @@ from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
 FloatArray = npt.NDArray[np.float64]
-_CHUNK_BYTES = 32 * 2**20  # sensitivities held at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,14 +59,49 @@ class Sweep:
     end_start: FloatArray
 
 
-class _BlockSums(NamedTuple):
-    gradient: FloatArray  # (n_p,)
-    gradient_start: FloatArray  # (W, n)
-    hessian: FloatArray  # (n_p, n_p)
-    mixed: FloatArray  # (W, n_p, n)
-    start: FloatArray  # (W, n, n)
-    products: FloatArray  # (n_y, n_y)
-    end_theta: FloatArray  # (W, n, n_p)
+class BlockSums(NamedTuple):
+    """What a pass gives: sums over all blocks, then values of each of the W blocks, padding included.
+
+    Attributes
+    ----------
+    hessian : (n_p, n_p) array
+    products : (n_y, n_y) array
+    gradient : (W, n_p) array
+    gradient_start : (W, n) array
+    mixed : (W, n_p, n) array
+    end : (W, n) array
+    end_theta : (W, n, n_p) array
+    """
+
+    hessian: FloatArray
+    products: FloatArray
+    gradient: FloatArray
+    gradient_start: FloatArray
+    mixed: FloatArray
+    end: FloatArray
+    end_theta: FloatArray
+
+
+class Engine(Protocol):
+    """Something that runs the recursion over all blocks."""
+
+    def __call__(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
+    ) -> BlockSums:
+        """Run it.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        starts : (W, n) array
+            Start state of each block, padding included.
+        root : (n_y, n_y) array
+            Upper triangular, ``root' root`` the weight.
+        free : (length, n_y, n) array
+            Weighted response to the start, ``root C F^k``.
+        """
+        ...
 
 
 def powers_of(F: FloatArray, count: int) -> FloatArray:
@@ -84,17 +118,24 @@ def powers_of(F: FloatArray, count: int) -> FloatArray:
 
 
 def forced_states(v: PredictorValues, blocks: Blocks) -> FloatArray:
-    """States of all blocks from zero start, and after their end: (length + 1, n, n_blocks)."""
-    forcing = v.G @ blocks.z
-    states = np.zeros((blocks.length + 1, len(v.F), blocks.n_blocks))
-    for k in range(blocks.length):
-        states[k + 1] = v.F @ states[k] + forcing[k]
+    """States of all blocks from zero start, and after their end: (length + 1, n, W)."""
+    z = blocks.z(v.shift)
+    n_groups, length, _, lanes = z.shape
+    n = len(v.F)
+    forcing = (v.G @ z).transpose(1, 2, 0, 3).reshape(length, n, n_groups * lanes)
+    states = np.zeros((length + 1, n, n_groups * lanes))
+    for k in range(length):
+        np.matmul(v.F, states[k], out=states[k + 1])
+        states[k + 1] += forcing[k]
     return states
 
 
 def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
-    """Start state of every block, shape (n, n_blocks), from the windows' starts (n_windows, n)."""
-    x = np.empty((len(transition), blocks.n_blocks))
+    """Start state of every block, (n, W), from the windows' starts (n_windows, n) and forced ends (n, W).
+
+    Inner blocks of a window are of full length, so one `transition` serves all.
+    """
+    x = np.zeros((len(transition), len(blocks.size)))
     x[:, blocks.window_first] = starts.T
     for i in range(1, blocks.per_window):
         inner = blocks.window_first[blocks.window_size > i] + i
@@ -103,15 +144,19 @@ def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transitio
 
 
 def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-    """Prediction errors ``y - yhat``, shape (length, n_y, n_blocks), zero on padding."""
+    """Prediction errors ``y - yhat``, (n_groups, length, n_y, lanes), zero where samples do not count."""
     powers = powers_of(v.F, blocks.length)
     states = forced_states(v, blocks)
     x0 = block_starts(blocks, starts, states[-1], powers[-1])
-    response = v.C @ (states[:-1] + powers[:-1] @ x0) + v.H @ blocks.z
-    return np.asarray((blocks.y - response) * blocks.used[:, None, :])
+    response = v.C @ (states[:-1] + powers[:-1] @ x0)
+    length, n_y, _ = response.shape
+    response = response.reshape(length, n_y, -1, blocks.lanes).transpose(2, 0, 1, 3) + v.H @ blocks.z(v.shift)
+    return np.asarray((blocks.y - response) * blocks.used[:, :, None])
 
 
-def sweep(v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatArray) -> Sweep:
+def sweep(
+    v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatArray, engine: Engine | None = None
+) -> Sweep:
     """Run the pass.
 
     Parameters
@@ -122,127 +167,182 @@ def sweep(v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatA
         State at the start of each window.
     weight : (n_y, n_y) array
         ``W``, positive definite.
+    engine : Engine, optional
+        Runs the recursion; numpy when not given.
 
     Returns
     -------
     Sweep
     """
-    n, n_p = len(v.F), len(v.dF)
     powers = powers_of(v.F, blocks.length)
+    sums, free = block_sums(v, blocks, starts, weight, powers, engine)
+    return _joined(blocks, sums, _start_hessians(blocks, free), powers)
+
+
+def block_sums(
+    v: PredictorValues,
+    blocks: Blocks,
+    starts: FloatArray,
+    weight: FloatArray,
+    powers: FloatArray,
+    engine: Engine | None = None,
+) -> tuple[BlockSums, FloatArray]:
+    """Run the engine over all blocks; also return the weighted response to a start, (length, n_y, n)."""
     if blocks.per_window > 1:
         x0 = block_starts(blocks, starts, forced_states(v, blocks)[-1], powers[-1])
     else:
-        x0 = np.ascontiguousarray(starts.T)
+        x0 = np.zeros((len(v.F), len(blocks.size)))
+        x0[:, : blocks.n_windows] = starts.T
     root = np.linalg.cholesky(weight).T  # W = root' root
-    free = np.ascontiguousarray(root @ v.C @ powers[:-1])  # weighted response to the start
-    per_block = 8 * blocks.length * n * (1 + n_p)
-    width = max(8, _CHUNK_BYTES // per_block)
-    sums, x_end = [], []
-    for first in range(0, blocks.n_blocks, width):
-        part = slice(first, first + width)
-        s, e = _run(v, blocks, part, x0[:, part], root, free)
-        sums.append(s)
-        x_end.append(e)
-    ends = np.concatenate(x_end, axis=1)
-    joined = _BlockSums(
-        sum(s.gradient for s in sums),
-        np.concatenate([s.gradient_start for s in sums]),
-        sum(s.hessian for s in sums),
-        np.concatenate([s.mixed for s in sums]),
-        np.concatenate([s.start for s in sums]),
-        sum(s.products for s in sums),
-        np.concatenate([s.end_theta for s in sums]),
-    )
-    return _link(blocks, joined, ends, powers[-1])
+    free = np.ascontiguousarray(root @ v.C @ powers[:-1])
+    run = engine or run_with_numpy
+    return run(v, blocks, np.ascontiguousarray(x0.T), np.ascontiguousarray(root), free), free
+
+
+def run_with_numpy(
+    v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
+) -> BlockSums:
+    """Run the recursion with numpy, some groups at a time; an `Engine`."""
+    n, n_p = len(v.F), len(v.dF)
+    z = blocks.z(v.shift)
+    n_groups, length, _, lanes = z.shape
+    per_group = 8 * length * n * (1 + n_p) * lanes
+    step = max(1, _CHUNK_BYTES // per_group)
+    parts = []
+    for first in range(0, n_groups, step):
+        part = slice(first, first + step)
+        rows = slice(first * lanes, (first + step) * lanes)
+        parts.append(
+            _run(v, _flat(z[part]), _flat(blocks.y[part]), _flat(blocks.used[part, :, None])[:, 0],
+                 blocks.size[rows], starts[rows].T, root, free)
+        )
+    joined = [np.concatenate([part[i] for part in parts]) for i in range(2, 7)]
+    totals = [np.sum([part[i] for part in parts], axis=0) for i in range(2)]
+    return BlockSums(*totals, *joined)
+
+
+_CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
+
+
+def _flat(values: FloatArray) -> FloatArray:
+    """Groups side by side: (n_groups, length, n, lanes) to (length, n, n_groups * lanes)."""
+    return np.ascontiguousarray(values.transpose(1, 2, 0, 3)).reshape(values.shape[1], values.shape[2], -1)
 
 
 def _run(
-    v: PredictorValues, blocks: Blocks, part: slice, x0: FloatArray, root: FloatArray, free: FloatArray
-) -> tuple[_BlockSums, FloatArray]:
-    """Run some blocks with their sensitivities and sum up; also return their end states (n, W)."""
-    n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
-    z, y, used = blocks.z[:, :, part], blocks.y[:, :, part], blocks.used[:, part]
-    width = z.shape[2]
+    v: PredictorValues,
+    z: FloatArray,
+    y: FloatArray,
+    used: FloatArray,
+    size: npt.NDArray[np.int64],
+    x0: FloatArray,
+    root: FloatArray,
+    free: FloatArray,
+) -> BlockSums:
+    """Run W blocks side by side, their samples in the last axis, and sum up."""
+    n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
+    length, _, width = z.shape
     # Column 0 of the joined state is x, column 1 + i is s_i; the drive of x comes from z alone.
     drive_x = np.concatenate([np.zeros((1, n, n)), v.dF]).transpose(1, 0, 2).reshape(n * (1 + n_p), n)
     drive_z = np.concatenate([v.G[None], v.dG]).transpose(1, 0, 2).reshape(n * (1 + n_p), -1)
     drive = np.hstack([drive_x, drive_z])
-    history = np.empty((length, n, (1 + n_p) * width))
+    history = np.empty((length + 1, n, (1 + n_p) * width))
     state = np.zeros((n, 1 + n_p, width))
     state[:, 0] = x0
+    history[0] = state.reshape(n, -1)
     joined = np.empty((n + z.shape[1], width))
     for k in range(length):
-        flat = state.reshape(n, -1)
-        history[k] = flat
-        joined[:n], joined[n:] = state[:, 0], z[k]
-        state = (v.F @ flat).reshape(n, 1 + n_p, width) + (drive @ joined).reshape(n, 1 + n_p, width)
-    response = (v.C @ history).reshape(length, n_y, 1 + n_p, width)
+        joined[:n], joined[n:] = history[k, :, :width], z[k]
+        np.matmul(v.F, history[k], out=history[k + 1])
+        history[k + 1] += (drive @ joined).reshape(n, -1)
+    response = (v.C @ history[:-1]).reshape(length, n_y, 1 + n_p, width)
     response[:, :, 0] += v.H @ z
     if v.dC.any():
-        states = history.reshape(length, n, 1 + n_p, width)[:, :, 0]
-        response[:, :, 1:] += np.einsum("pyn,knw->kypw", v.dC, states, optimize=True)
+        response[:, :, 1:] += np.einsum("pyn,knw->kypw", v.dC, history[:-1, :, :width], optimize=True)
     if v.dH.any():
         response[:, :, 1:] += np.einsum("pyz,kzw->kypw", v.dH, z, optimize=True)
     error = (y - response[:, :, 0]) * used[:, None]
-    response *= used[:, None, None]
-    flat_error = error.transpose(1, 0, 2).reshape(n_y, -1)
-    weighted = (root @ response.reshape(length, n_y, -1)).reshape(length, n_y, 1 + n_p, width)
-    weighted_error = root @ error
-    psi = np.ascontiguousarray(weighted[:, :, 1:].transpose(2, 0, 1, 3)).reshape(n_p, -1)
+    psi = np.ascontiguousarray(response[:, :, 1:]) * used[:, None, None]
+    psi = (root @ psi.reshape(length, n_y, -1)).reshape(length * n_y, n_p, width)
+    weighted_error = (root @ error).reshape(length * n_y, width)
     by_row = free.reshape(length * n_y, n)
-    psi_rows = weighted[:, :, 1:].reshape(length * n_y, n_p * width)
-    mixed = (by_row.T @ psi_rows).reshape(n, n_p, width).transpose(2, 1, 0)
-    start = np.broadcast_to(by_row.T @ by_row, (width, n, n)).copy()
-    for block in np.flatnonzero(used[-1] == 0):
-        rows = by_row[: n_y * int(used[:, block].sum())]
-        start[block] = rows.T @ rows
-    sums = _BlockSums(
-        -psi @ weighted_error.reshape(-1),
-        -(by_row.T @ weighted_error.reshape(length * n_y, width)).T,
-        psi @ psi.T,
-        mixed,
-        start,
+    by_parameter = np.ascontiguousarray(psi.transpose(1, 0, 2)).reshape(n_p, -1)
+    flat_error = error.transpose(1, 0, 2).reshape(n_y, -1)
+    ends = history[size, :, :].reshape(width, n, 1 + n_p, width)[np.arange(width), :, :, np.arange(width)]
+    return BlockSums(
+        by_parameter @ by_parameter.T,
         flat_error @ flat_error.T,
-        state[:, 1:].transpose(2, 0, 1),
+        -np.einsum("kpw,kw->wp", psi, weighted_error),
+        -(by_row.T @ weighted_error).T,
+        (by_row.T @ psi.reshape(length * n_y, -1)).reshape(n, n_p, width).transpose(2, 1, 0),
+        ends[:, :, 0],
+        ends[:, :, 1:],
     )
-    return sums, state[:, 0]
 
 
-def _link(blocks: Blocks, sums: _BlockSums, ends: FloatArray, transition: FloatArray) -> Sweep:
-    """Join the blocks of each window: their starts follow from the window's start and the parameters."""
-    n_p, n = sums.mixed.shape[1:]
+def _start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
+    """Hessian with respect to each block's start, (W, n, n): one matrix for all blocks whose samples all count."""
+    n = free.shape[2]
+    rows = free.reshape(-1, n)
+    full = np.broadcast_to(rows.T @ rows, (len(blocks.size), n, n)).copy()
+    used = blocks.used.transpose(0, 2, 1).reshape(-1, blocks.length)
+    for block in np.flatnonzero(~used.all(axis=1)):
+        rows = free[used[block] > 0].reshape(-1, n)
+        full[block] = rows.T @ rows
+    return full
+
+
+class Linked(NamedTuple):
+    """Sensitivities of every block's start within its window.
+
+    Attributes
+    ----------
+    by_theta : (W, n, n_p) array
+    by_start : (W, n, n) array
+        With respect to the start of the window.
+    end_theta : (n_windows, n, n_p) array
+    end_start : (n_windows, n, n) array
+        Of the end of each window.
+    """
+
+    by_theta: FloatArray
+    by_start: FloatArray
+    end_theta: FloatArray
+    end_start: FloatArray
+
+
+def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
+    """Follow each window through its blocks: a block's start is the end of the block before."""
+    n_blocks, n, n_p = end_theta.shape
     first, size = blocks.window_first, blocks.window_size
-    n_windows = blocks.n_windows
-    hessian, gradient = sums.hessian.copy(), sums.gradient.copy()
-    mixed = np.zeros((n_windows, n_p, n))
-    start = np.zeros((n_windows, n, n))
-    gradient_start = np.zeros((n_windows, n))
-    by_theta = np.zeros((n_windows, n, n_p))  # sensitivity of the current block's start
-    by_start = np.broadcast_to(np.eye(n), (n_windows, n, n)).copy()
-    for i in range(blocks.per_window):
-        live = np.flatnonzero(size > i)
-        b = first[live] + i
-        S, P = by_theta[live], by_start[live]
-        mixed_b, start_b, gradient_b = sums.mixed[b], sums.start[b], sums.gradient_start[b]
-        if i > 0:
-            cross = (mixed_b @ S).sum(0)
-            hessian += cross + cross.T + (S.transpose(0, 2, 1) @ start_b @ S).sum(0)
-            gradient += (S.transpose(0, 2, 1) @ gradient_b[:, :, None]).sum(0)[:, 0]
-            mixed_b = mixed_b + S.transpose(0, 2, 1) @ start_b
-        mixed[live] += mixed_b @ P
-        start[live] += P.transpose(0, 2, 1) @ start_b @ P
-        gradient_start[live] += (P.transpose(0, 2, 1) @ gradient_b[:, :, None])[:, :, 0]
-        by_theta[live] = transition @ S + sums.end_theta[b]
-        by_start[live] = transition @ P
+    by_theta = np.zeros((n_blocks, n, n_p))
+    by_start = np.broadcast_to(np.eye(n), (n_blocks, n, n)).copy()
+    for i in range(1, blocks.per_window):
+        here = first[size > i] + i
+        by_theta[here] = powers[-1] @ by_theta[here - 1] + end_theta[here - 1]
+        by_start[here] = powers[-1] @ by_start[here - 1]
     last = first + size - 1
+    transition = powers[blocks.size[last]]
+    return Linked(by_theta, by_start, transition @ by_theta[last] + end_theta[last], transition @ by_start[last])
+
+
+def _joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, powers: FloatArray) -> Sweep:
+    """Sum the blocks of each window up."""
+    linked = link(blocks, sums.end_theta, powers)
+    first, live = blocks.window_first, slice(0, blocks.n_blocks)
+    S, P = linked.by_theta[live], linked.by_start[live]
+    mixed, start, gradient_start = sums.mixed[live], start_hessian[live], sums.gradient_start[live]
+    hessian, gradient = sums.hessian, sums.gradient.sum(0)
+    if blocks.per_window > 1:
+        S_t = S.transpose(0, 2, 1)
+        cross = (mixed @ S).sum(0)
+        hessian = hessian + cross + cross.T + (S_t @ (start @ S)).sum(0)
+        gradient = gradient + np.einsum("wnp,wn->p", S, gradient_start)
+        P_t = P.transpose(0, 2, 1)
+        mixed = np.add.reduceat((mixed + S_t @ start) @ P, first)
+        start = np.add.reduceat(P_t @ start @ P, first)
+        gradient_start = np.add.reduceat((P_t @ gradient_start[:, :, None])[:, :, 0], first)
+    end = sums.end[first + blocks.window_size - 1]
     return Sweep(
-        sums.products,
-        gradient,
-        gradient_start,
-        hessian,
-        mixed,
-        start,
-        np.ascontiguousarray(ends[:, last].T),
-        by_theta,
-        by_start,
+        sums.products, gradient, gradient_start, hessian, mixed, start, end, linked.end_theta, linked.end_start
     )

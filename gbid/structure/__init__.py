@@ -3,6 +3,7 @@
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
 from gbid.structure.linear_model import LinearModel
+from gbid.structure.pade_model import with_pade
 from gbid.structure.parameter import Parameter, Values, known_names
 from gbid.structure.piezo_pair import PiezoPair
 from gbid.structure.plant import Plant
@@ -26,4 +27,5 @@ __all__ = [
     "load_structure",
     "pade_delay",
     "symbolic_matrices",
+    "with_pade",
 ]

@@ -19,13 +19,23 @@ FloatArray = npt.NDArray[np.float64]
 
 
 class Matrices(NamedTuple):
-    """``xd = A x + B u + K e``, ``y = C x + D u + e``, as casadi.SX."""
+    """``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``, as casadi.SX.
+
+    `delay` (n_inputs, 1) is empty, and `B_delayed` without entries, where nothing is delayed exactly.
+    """
 
     A: ca.SX
     B: ca.SX
     C: ca.SX
     D: ca.SX
     K: ca.SX
+    B_delayed: ca.SX
+    delay: ca.SX
+
+    @property
+    def has_delay(self) -> bool:
+        """Whether inputs enter through an exact delay."""
+        return self.delay.numel() > 0
 
 
 @runtime_checkable
@@ -54,7 +64,10 @@ class Structure(Protocol):
     def intersample(self) -> Hold: ...  # noqa: D102
 
     def matrices(self, p: Values) -> Mapping[str, Any]:
-        """Return ``{"A", "B", "C", "D", "K"}`` as CasADi for symbolic parameters; D and K may be left out."""
+        """Return ``{"A", "B", "C", "D", "K"}`` as CasADi for symbolic parameters; D and K may be left out.
+
+        ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together state an exact input delay.
+        """
         ...
 
 
@@ -69,7 +82,8 @@ class LinearStructure:
         Each with a start value.
     matrices : callable
         ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
-        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out.
+        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out;
+        ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs that enter late, exactly.
     inputs, outputs : str or sequence of str
         Signals of the recordings; ``"p.x"`` picks one channel.
     intersample : {"zoh", "foh"}
@@ -151,16 +165,21 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     except Exception as error:
         raise UsageError(f"{where}: matrices(p) failed: {type(error).__name__}: {error}") from error
     missing = [letter for letter in "ABC" if letter not in given]
-    unknown = [letter for letter in given if letter not in tuple("ABCDK")]
-    if missing or unknown:
+    unknown = [letter for letter in given if letter not in Matrices._fields]
+    if missing or unknown or ("delay" in given) != ("B_delayed" in given):
         raise UsageError(
-            f"{where}: matrices(p) must give A, B, C and may give D, K; got {', '.join(given) or 'nothing'}"
+            f"{where}: matrices(p) must give A, B, C and may give D, K, and B_delayed with delay; "
+            f"got {', '.join(given) or 'nothing'}"
         )
     sx = {letter: _as_matrix(value, f"{where}: {letter}") for letter, value in given.items()}
     n, n_u, n_y = sx["A"].shape[0], sx["B"].shape[1], sx["C"].shape[0]
+    has_delay = "delay" in sx
     sx.setdefault("D", ca.SX(n_y, n_u))
     sx.setdefault("K", ca.SX(n, n_y))
-    expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
+    sx.setdefault("B_delayed", ca.SX(n, n_u))
+    sx.setdefault("delay", ca.SX(0, 1))
+    expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y), "B_delayed": (n, n_u)}
+    expected["delay"] = (n_u if has_delay else 0, 1)
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
@@ -205,13 +224,15 @@ def evaluate(
     p, symbolic = symbolic_matrices(structure)
     function = ca.Function("matrices", [p], [ca.densify(m) for m in symbolic])
     numeric = function(ca.DM([float(values[parameter.name]) for parameter in structure.parameters]))
-    A, B, C, D, K = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+    A, B, C, D, K, B_delayed, delay = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
     return LinearModel(
         A,
         B,
         C,
         D,
         K if K.any() else None,
+        B_delayed=B_delayed if symbolic.has_delay else None,
+        delay=delay[:, 0] if symbolic.has_delay else None,
         input_names=input_names,
         output_names=output_names,
         name=structure.name,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from gbid.discretise import check_holds, discretise, propagate
+from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 from gbid.errors import UsageError
 
 FloatArray = npt.NDArray[np.float64]
@@ -31,6 +31,9 @@ class LinearModel:
         Sample time [s]; None for continuous time.
     input_names, output_names, state_names : tuple of str, optional
     name : str, optional
+    B_delayed : (n, n_inputs) array, optional
+    delay : (n_inputs,) array, optional
+        Inputs that also enter late, ``xd = A x + B u + B_delayed u(t - delay)``, exactly [s]; continuous time only.
 
     Raises
     ------
@@ -48,6 +51,8 @@ class LinearModel:
     output_names: tuple[str, ...] = ()
     state_names: tuple[str, ...] = ()
     name: str = "model"
+    B_delayed: FloatArray | None = None
+    delay: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.dt is not None:
@@ -65,6 +70,7 @@ class LinearModel:
                 raise UsageError(f"model {self.name!r}: {letter} holds entries that are not finite")
             matrix.setflags(write=False)
             object.__setattr__(self, letter, matrix)
+        self._check_delay(n, n_u)
         for field, count, letter in (
             ("input_names", n_u, "u"),
             ("output_names", n_y, "y"),
@@ -114,7 +120,8 @@ class LinearModel:
         system = -self.A if self.dt is None else np.eye(self.n_states) - self.A
         if self.n_states and np.linalg.cond(system) > 1e15:
             raise UsageError(f"model {self.name!r} has a pole at rest, so no static gain")
-        return np.asarray(self.C @ np.linalg.solve(system, self.B) + self.D)
+        B = self.B if self.B_delayed is None else self.B + self.B_delayed
+        return np.asarray(self.C @ np.linalg.solve(system, B) + self.D)
 
     def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
         """Response at given frequencies [Hz], shape (n_frequencies, n_outputs, n_inputs).
@@ -127,18 +134,29 @@ class LinearModel:
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
         if not np.isfinite(s).all():
             raise UsageError(f"model {self.name!r}: frequency_hz holds values that are not finite")
+        B = np.broadcast_to(self.B, (len(s), *self.B.shape)).astype(complex)
+        if self.delay is not None:
+            B = B + self.B_delayed * np.exp(-s[:, None] * self.delay)[:, None]
         if self.dt is not None:
             s = np.exp(s * self.dt)
         system = s[:, None, None] * np.eye(self.n_states) - self.A
         try:
-            states = np.linalg.solve(system, np.broadcast_to(self.B, (len(s), *self.B.shape)))
+            states = np.linalg.solve(system, B)
         except np.linalg.LinAlgError:
             raise UsageError(f"model {self.name!r} has a pole on one of the frequencies asked for") from None
         return np.asarray(self.C @ states + self.D)
 
     def discretise(self, sample_time: float) -> LinearModel:
-        """Return the model sampled with zero-order hold [s]; the disturbance is held as well."""
+        """Return the model sampled with zero-order hold [s]; the disturbance is held as well.
+
+        Raises
+        ------
+        UsageError
+            When it is discrete already, or has exact delays: `with_pade` makes states of them first.
+        """
         self._require_continuous()
+        if self.delay is not None:
+            raise UsageError(f"model {self.name!r} has exact delays: turn them into states first, with_pade(model, order)")
         _check_sample_time(self.name, sample_time)
         B = self.B if self.K is None else np.hstack([self.B, self.K])
         F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")
@@ -198,7 +216,40 @@ class LinearModel:
             raise UsageError(f"model {self.name!r}: initial_state has shape {x0.shape}, expected ({self.n_states},)")
         forcing = u @ now.T
         forcing[:-1] += u[1:] @ following.T
+        if self.delay is not None and sample_time is not None:
+            forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
+        """What the late inputs add to the state in each sample; before the record they stood at its first value."""
+        assert self.delay is not None
+        assert self.B_delayed is not None
+        forcing = np.zeros((len(u), self.n_states))
+        for i, hold in enumerate(holds):
+            taps = delayed_taps(np.array(self.A), self.B_delayed[:, [i]], float(self.delay[i]), sample_time, hold)
+            for j, column in enumerate(taps.columns):
+                rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
+                forcing += u[rows, i : i + 1] @ column.T
+        return forcing
+
+    def _check_delay(self, n: int, n_u: int) -> None:
+        if (self.delay is None) != (self.B_delayed is None):
+            raise UsageError(f"model {self.name!r}: delay and B_delayed go together")
+        if self.delay is None:
+            return
+        delay, B_delayed = np.array(self.delay, float), np.array(self.B_delayed, float)
+        if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
+            raise UsageError(
+                f"model {self.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
+                f"expected {(n_u,)} and {(n, n_u)}"
+            )
+        if self.dt is not None:
+            raise UsageError(f"model {self.name!r}: an exact delay belongs to continuous time")
+        if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
+            raise UsageError(f"model {self.name!r}: delays must be finite and not negative, B_delayed finite")
+        for name, value in (("delay", delay), ("B_delayed", B_delayed)):
+            value.setflags(write=False)
+            object.__setattr__(self, name, value)
 
     def _require_continuous(self) -> None:
         if self.dt is not None:

@@ -55,17 +55,47 @@ class Plant:
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return A, B, C, D and K of the series for parameters by name."""
         act, rb = self.actuators.matrices(p), self.bearing.matrices(p)
+        if self.bearing.delay == "exact":
+            return self._with_exact_delay(act, rb)
         n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
         A = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B"] @ act["C"], rb["A"]]])
-        B = ca.vertcat(act["B"], ca.SX(n_b, 2))
         to_u = ca.horzcat(act["C"], ca.SX(2, n_b))
         to_p = ca.horzcat(rb["D"] @ act["C"], rb["C"])
-        with_u = "u" in self.outputs
-        K = ca.vertcat(ca.SX(n_a, 2), rb["K"])
         return {
             "A": A,
-            "B": B,
-            "C": ca.vertcat(to_u, to_p) if with_u else to_p,
-            "D": ca.SX(4 if with_u else 2, 2),
-            "K": ca.horzcat(ca.SX(n_a + n_b, 2), K) if with_u else K,
+            "B": ca.vertcat(act["B"], ca.SX(n_b, 2)),
+            "C": ca.vertcat(to_u, to_p) if self._explains_u else to_p,
+            "D": ca.SX(len(self.outputs) * 2, 2),
+            "K": self._disturbance_gain(n_a, rb["K"]),
         }
+
+    def _with_exact_delay(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
+        """Series with the delay moved to the references: it commutes with the actuators of its axis.
+
+        Where u is explained as well, the actuators are there twice, once without and once with the delay.
+        """
+        n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
+        late = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
+        late_B = ca.vertcat(act["B"], ca.SX(n_b, 2))
+        to_p = ca.horzcat(ca.SX(2, n_a), rb["C"])
+        n_prompt = n_a if self._explains_u else 0
+        n = n_prompt + n_a + n_b
+        if not self._explains_u:
+            A, B, B_delayed, C = late, ca.SX(n, 2), late_B, to_p
+        else:
+            A = ca.diagcat(act["A"], late)
+            B = ca.vertcat(act["B"], ca.SX(n_a + n_b, 2))
+            B_delayed = ca.vertcat(ca.SX(n_a, 2), late_B)
+            C = ca.diagcat(act["C"], to_p)
+        K = self._disturbance_gain(n_prompt + n_a, rb["K"])
+        D = ca.SX(len(self.outputs) * 2, 2)
+        return {"A": A, "B": B, "B_delayed": B_delayed, "delay": rb["delay"], "C": C, "D": D, "K": K}
+
+    @property
+    def _explains_u(self) -> bool:
+        return "u" in self.outputs
+
+    def _disturbance_gain(self, n_before: int, K: ca.SX) -> ca.SX:
+        """Gain of the bearing's disturbance over all states and outputs."""
+        below = ca.vertcat(ca.SX(n_before, 2), K)
+        return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below

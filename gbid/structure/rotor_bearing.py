@@ -38,11 +38,15 @@ class RotorBearing:
     ----------
     pade_order : int
         Order of the delays' approximation; 1 is the paper's.
+    delay : {"pade", "exact"}
+        Delays as all-pass filters of `pade_order`, or exact (fractions of a sample included); then there are
+        no delay states, and a model of it simulates and answers in frequency with the exact delay.
     disturbance_gain : {"full", "diagonal", "none"}
         Which entries of ``B_d`` are estimated.
     """
 
     pade_order: int = 1
+    delay: Literal["pade", "exact"] = "pade"
     disturbance_gain: DisturbanceGain = "full"
     name: str = "rotor_bearing"
     inputs: tuple[str, ...] = ("u",)
@@ -52,6 +56,8 @@ class RotorBearing:
     def __post_init__(self) -> None:
         if self.pade_order < 1:
             raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
+        if self.delay not in ("pade", "exact"):
+            raise UsageError(f"{self.name}: delay = {self.delay!r}; choose 'pade' or 'exact'")
         if self.disturbance_gain not in ("full", "diagonal", "none"):
             raise UsageError(
                 f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'full', 'diagonal' or 'none'"
@@ -69,8 +75,19 @@ class RotorBearing:
         return (*coefficients, *delays, *gains)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return A, B, C, D and K of Eq. 10 for parameters by name."""
+        """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays, for parameters by name."""
         stiffness, damping, input_gain = (_square(p, letter) for letter in "kdb")
+        if self.delay == "exact":
+            zero, eye = ca.SX(2, 2), ca.SX.eye(2)
+            return {
+                "A": ca.blockcat([[zero, eye], [stiffness, damping]]),
+                "B": ca.SX(4, 2),
+                "B_delayed": ca.vertcat(zero, input_gain),
+                "delay": ca.vertcat(p["tau_x"], p["tau_y"]),
+                "C": ca.horzcat(eye, zero),
+                "D": zero,
+                "K": ca.vertcat(zero, self._gain(p)),
+            }
         n_tau = self.pade_order
         delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
         A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(delay[i] for delay in delays)) for i in range(4))

@@ -1,0 +1,88 @@
+"""Whether residuals are white."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.fft import irfft, next_fast_len, rfft
+from scipy.stats import chi2
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Whiteness(NamedTuple):
+    """Portmanteau test of residuals (Ljung and Box, 1978).
+
+    Attributes
+    ----------
+    statistic : (n_y,) array
+    p_value : (n_y,) array
+        Probability of a larger statistic for white residuals.
+    lags : int
+    """
+
+    statistic: FloatArray
+    p_value: FloatArray
+    lags: int
+
+
+def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
+    """Correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
+
+    Parameters
+    ----------
+    first, second : (n_samples,) array
+        Means are not removed.
+    lags : int
+
+    Returns
+    -------
+    (lags + 1,) array
+    """
+    n = next_fast_len(len(first) + lags + 1, real=True)
+    product = irfft(np.conj(rfft(first, n)) * rfft(second, n), n)[: lags + 1]
+    scale = np.sqrt(float(first @ first) * float(second @ second))
+    return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
+
+
+def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
+    """Test the residuals of one or several records together.
+
+    Parameters
+    ----------
+    errors : list of (n_samples, n_y) array
+    lags : int
+        Lags that enter.
+
+    Returns
+    -------
+    Whiteness
+    """
+    n_y = errors[0].shape[1]
+    statistic = np.zeros(n_y)
+    records = [e - e.mean(0) for e in errors if len(e) > 2 * lags]
+    for e in records:
+        n = len(e)
+        for j in range(n_y):
+            rho = correlation(e[:, j], e[:, j], lags)[1:]
+            statistic[j] += n * (n + 2) * float((rho**2 / (n - np.arange(1, lags + 1))).sum())
+    freedom = lags * max(1, len(records))
+    return Whiteness(statistic, np.asarray(chi2.sf(statistic, freedom)), lags)
+
+
+def correlation_length(errors: list[FloatArray]) -> int:
+    """Samples over which residuals remember: the last lag whose autocorrelation leaves the 99.9 % band."""
+    longest = 1
+    for e in errors:
+        n = len(e)
+        most = min(n // 10, 2000)
+        if most < 2:
+            continue
+        for j in range(e.shape[1]):
+            rho = np.abs(correlation(e[:, j], e[:, j], most)[1:])
+            # Smoothed over a few lags: one of thousands leaves its band by chance.
+            outside = np.convolve(rho, np.ones(5) / 5, "same") > 3.3 / np.sqrt(n)
+            longest = max(longest, int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1)
+    return longest
