@@ -119,6 +119,12 @@ class Shooting:
         return 0.5 * float(np.linalg.slogdet((error_products + self._floor * np.eye(n_y)) / self._power)[1])
 
     @property
+    def exact_cost(self) -> float:
+        """Cost at or below which all errors are rounding, as for data that a model made without noise."""
+        n_y = self.predictor.n_outputs
+        return self.cost(np.eye(n_y) * self._floor / (n_y if self.criterion == "trace" else 1))
+
+    @property
     def _power(self) -> float:
         return self.blocks.n_samples * self.output_scale**2
 
