@@ -12,9 +12,11 @@ from gbid._version import __version__
 
 if TYPE_CHECKING:
     from gbid.control import close_loop
-    from gbid.identify import FitResult, fit, load_fit, save_fit
+    from gbid.identify import FitResult, load_fit, save_fit
+    from gbid.identify.fit import fit
     from gbid.lpv import LPVModel, load_model
-    from gbid.prefilter import identify_runout, prefilter
+    from gbid.prefilter.identify_runout import identify_runout
+    from gbid.prefilter.prefilter import prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording
     from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing
     from gbid.validate import cross_validate

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Experiments as YAML: schema, checks with positions, and the stages that run them."""

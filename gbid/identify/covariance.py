@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +14,7 @@ from gbid.identify.sweep import block_sums, joined, link, powers_of, start_hessi
 from gbid.identify.whiteness import correlation_length
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
 _BLOCK = 64  # samples whose scores are summed before they are correlated
 
@@ -38,20 +40,16 @@ class Covariance(NamedTuple):
     condition: float
 
 
-class _Information(NamedTuple):
-    hessian: FloatArray  # (n_all, n_all) over parameters and initial states
-    scores: list[FloatArray]  # per record, (n_blocks, n_all): gradient of each block
-
-
 def covariance(
     problem: Shooting,
     theta: FloatArray,
     starts: FloatArray,
-    record_window: npt.NDArray[np.int64],
+    record_window: IntArray,
     error_products: FloatArray,
     errors: list[FloatArray],
     held: npt.NDArray[np.bool_],
-    initial_known: bool,
+    *,
+    initial_known: bool = False,
 ) -> Covariance:
     """Covariance of the parameters at an estimate.
 
@@ -81,28 +79,27 @@ def covariance(
     ``sum psi' W e``, the estimates have the covariance ``H^-1 J H^-1`` (Ljung, System Identification,
     Secs. 9.2 to 9.4). For white residuals of covariance Lambda, ``J = sum psi' W Lambda W psi``. The robust J
     sums the products of the gradients of neighbouring blocks, with weights that fall to zero at a few times
-    the residuals' memory (Newey and West, 1987).
+    the residuals' memory (Newey and West, 1987). A prior adds its information to H and, as what a datum of its
+    variance would do, to J.
     """
     n_p = problem.n_theta
-    n_unknown = n_p + len(record_window) * problem.n_states
+    n_all = n_p + len(record_window) * problem.n_states
     weight = problem.weight(error_products)
-    freedom = max(1.0, problem.n_samples - n_unknown / len(weight))
-    pieces = _fine_parts(problem)
-    windows = _piece_windows(problem)
-    first = _information(problem, pieces, windows, theta, starts, record_window, weight)
+    freedom = max(1.0, problem.n_samples - n_all / len(weight))
+    fine = _by_piece(problem)
+    first = _information(problem, fine, theta, starts, record_window, weight, scores=True)
     shaped = weight @ (error_products / freedom) @ weight
-    second = _information(problem, pieces, windows, theta, starts, record_window, shaped)
+    second = _information(problem, fine, theta, starts, record_window, shaped)
 
-    prior = np.zeros(len(first.hessian))
-    prior[:n_p] = problem.prior.information * _precision(problem, error_products, weight)
-    keep = np.concatenate([~held, np.full(len(first.hessian) - n_p, not initial_known)])
-    H = (first.hessian + np.diag(prior))[np.ix_(keep, keep)]
-    J_white = (second.hessian + np.diag(prior * prior / np.maximum(problem_prior(problem, len(prior)), 1e-300)))[
-        np.ix_(keep, keep)
-    ]
+    # The weight is one over the total error, the likelihood's one over its variance: they differ by this factor.
+    unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
+    known = np.concatenate([problem.prior.information * unit, np.zeros(n_all - n_p)])
+    keep = np.concatenate([~held, np.full(n_all - n_p, not initial_known)])
+    kept = np.ix_(keep, keep)
+    H = (first.hessian + np.diag(known))[kept]
+    J_white = (second.hessian + np.diag(known * unit))[kept]
     lag = max(1, round(3 * correlation_length(errors) / _BLOCK))
-    J_robust = _long_run([scores[:, keep] for scores in first.scores], lag)
-    J_robust += np.diag(np.diag(J_white) - np.diag(second.hessian[np.ix_(keep, keep)]))
+    J_robust = _long_run([scores[:, keep] for scores in first.scores], lag) + np.diag(known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
@@ -121,3 +118,101 @@ def covariance(
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     return Covariance(over_parameters(J_white), over_parameters(J_robust), directions, condition)
+
+
+class _Fine(NamedTuple):
+    """A part cut anew, each piece as one window of short blocks, and the windows these pieces start with."""
+
+    part: Part
+    windows: IntArray
+
+
+class _Information(NamedTuple):
+    hessian: FloatArray  # (n_all, n_all) over parameters and initial states
+    scores: list[FloatArray]  # per record, (n_blocks, n_all): gradient of each block
+
+
+def _by_piece(problem: Shooting) -> list[_Fine]:
+    fine = []
+    for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
+        blocks = cut(part.blocks.pieces, part.predictor, None, longest_block=_BLOCK)
+        fine.append(_Fine(replace(part, blocks=blocks), first + part.blocks.piece_first))
+    return fine
+
+
+def _information(
+    problem: Shooting,
+    fine: list[_Fine],
+    theta: FloatArray,
+    starts: FloatArray,
+    record_window: IntArray,
+    weight: FloatArray,
+    *,
+    scores: bool = False,
+) -> _Information:
+    """Run a pass over whole pieces and refer everything to parameters and the records' initial states."""
+    n, n_p = problem.n_states, problem.n_theta
+    n_all = n_p + len(record_window) * n
+    record_of = {int(window): i for i, window in enumerate(record_window)}
+    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the piece at a window: sensitivity, record
+    for window, record in record_of.items():
+        T = np.zeros((n, n_all))
+        T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
+        chains[window] = T, record
+    hessian = np.zeros((n_all, n_all))
+    gathered: list[list[tuple[int, FloatArray]]] = [[] for _ in record_window]
+    passes = []
+    for v, (part, windows) in zip(problem.values(theta), fine, strict=True):
+        powers = powers_of(v.F, part.blocks.length)
+        sums, free = block_sums(v, part.blocks, starts[windows], weight, powers, part.engine)
+        whole = joined(part.blocks, sums, start_hessians(part.blocks, free), powers)
+        passes.append((part, windows, sums, whole, link(part.blocks, sums.end_theta, powers)))
+    _follow_pieces(problem, passes, chains)
+    for part, windows, sums, whole, linked in passes:
+        hessian[np.ix_(part.index, part.index)] += whole.hessian
+        for i, window in enumerate(windows):
+            T, record = chains[int(window)]
+            mixed = whole.hessian_mixed[i] @ T
+            hessian[part.index] += mixed
+            hessian[:, part.index] += mixed.T
+            hessian += T.T @ whole.hessian_start[i] @ T
+            if scores:
+                own = slice(part.blocks.window_first[i], part.blocks.window_first[i] + part.blocks.window_size[i])
+                g, gx = sums.gradient[own], sums.gradient_start[own]
+                block = (gx[:, None, :] @ linked.by_start[own])[:, 0] @ T
+                block[:, part.index] += g + (gx[:, None, :] @ linked.by_theta[own])[:, 0]
+                gathered[record].append((int(window), block))
+    ordered = [np.concatenate([b for _, b in sorted(parts, key=lambda item: item[0])]) for parts in gathered if parts]
+    return _Information(hessian, ordered)
+
+
+def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[FloatArray, int]]) -> None:  # type: ignore[type-arg]
+    """Carry sensitivities from piece to piece of a record, over the stretches that are left out."""
+    piece_of = {}
+    last_window = {}
+    for k, (part, windows, *_) in enumerate(passes):
+        original = problem.parts[k].blocks
+        ends = np.append(original.piece_first[1:], original.n_windows) - 1 + problem.first_window[k]
+        for i, window in enumerate(windows):
+            piece_of[int(window)] = (k, i)
+            last_window[int(ends[i])] = int(window)
+    for a, b in problem.links:
+        if int(b) in piece_of and int(a) in last_window:
+            T, record = chains[last_window[int(a)]]
+            k, i = piece_of[last_window[int(a)]]
+            part, _, _, whole, _ = passes[k]
+            following = whole.end_start[i] @ T
+            following[:, part.index] += whole.end_theta[i]
+            chains[int(b)] = following, record
+
+
+def _long_run(scores: list[FloatArray], lag: int) -> FloatArray:
+    """Covariance of the sum of scores, neighbours up to `lag` blocks counted with falling weights."""
+    n = scores[0].shape[1]
+    total = np.zeros((n, n))
+    for s in scores:
+        total += s.T @ s
+        for shift in range(1, min(lag, len(s) - 1) + 1):
+            product = s[shift:].T @ s[:-shift]
+            total += (1 - shift / (lag + 1)) * (product + product.T)
+    return total

@@ -105,7 +105,8 @@ def fit(
     begin = _within(parameters, start_values(structure, data, stated), set(stated))
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
     predictor = _predictor(structure, parameters, held, data, hold, focus, begin)
-    problem, unknowns = _problem(predictor, data, window, criterion, begin, scaling)
+    with np.errstate(over="ignore", invalid="ignore"):  # an unstable start overflows: the status says so
+        problem, unknowns = _problem(predictor, data, window, criterion, begin, scaling)
     lower, upper = _bounds(problem)
     solution = solve(
         problem,
@@ -125,7 +126,8 @@ def fit(
         "window": "one per recording" if window is None else f"{problem.blocks.length * problem.blocks.per_window}",
         "stop": stop,
     }
-    result = _result(structure, parameters, data, problem, solution, begin, options)
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = _result(structure, parameters, data, problem, solution, begin, options)
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 

@@ -251,6 +251,14 @@ class Shooting:
         return _in_column_order((self.n_unknowns, self.n_unknowns), rows, columns)
 
     @property
+    def exact_cost(self) -> float:
+        """Cost at or below which all errors are rounding, as for data that a model made without noise."""
+        n_y = len(self.output_weights)
+        if self.criterion == "det":
+            return self.cost(np.eye(n_y) * self._floor)
+        return self.cost(np.eye(n_y) * self._floor / float(self.output_weights.sum()))
+
+    @property
     def _power(self) -> float:
         return self.n_samples * self.output_scale**2
 

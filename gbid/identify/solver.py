@@ -19,6 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
+_EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
 _WORDS = {
     "Solve_Succeeded": "converged",
@@ -183,6 +184,8 @@ def solve(
     status = str(stats["return_status"])
     if watch.settled and status == "User_Requested_Stop":
         words, success = f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+    elif watch.exact and status == "User_Requested_Stop":
+        words, success = "converged: the errors are at rounding", True
     else:
         words = _WORDS.get(status, f"not converged: IPOPT says {status}")
         success = words.startswith("converged")
@@ -250,6 +253,7 @@ class _Watch(ca.Callback):
         self.history: list[Progress] = []
         self.interrupted = False
         self.settled = False
+        self.exact = False
         self._previous: FloatArray | None = None
         self.construct("watch", {})
 
@@ -278,7 +282,8 @@ class _Watch(ca.Callback):
         if self._progress is not None:
             self._progress(now)
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
-        return [int(self.interrupted or self.settled)]
+        self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
+        return [int(self.interrupted or self.settled or self.exact)]
 
 
 @contextmanager

@@ -54,11 +54,13 @@ def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> d
 
 @start_values.register
 def _(structure: RotorBearing, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    _check_channels(structure, data.records, 2, 2)
     return {**_rotor_bearing(structure, data.records, data.sample_time), **given}
 
 
 @start_values.register
 def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    _check_channels(structure, data.records, 2, 2)
     found: dict[str, float] = {}
     for i, axis in enumerate(AXES):
         slow, fast, gain = _second_order_lag(data.records, i, data.sample_time)
@@ -68,6 +70,7 @@ def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[s
 
 @start_values.register
 def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    _check_channels(structure, data.records, 2, 2 * len(structure.outputs))
     if "u" in structure.outputs:
         actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
         bearing_records = tuple(Record(r.name, r.outputs[:, :2], r.outputs[:, 2:]) for r in data.records)
@@ -87,6 +90,15 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
     return {**_rotor_bearing(structure.bearing, records, data.sample_time), **given}
 
 
+def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, n_outputs: int) -> None:
+    found = records[0].inputs.shape[1], records[0].outputs.shape[1]
+    if found != (n_inputs, n_outputs):
+        raise UsageError(
+            f"structure {structure.name!r} has {n_inputs} inputs and {n_outputs} outputs; "
+            f"the recordings give {found[0]} and {found[1]}"
+        )
+
+
 def _like(data: FitData, records: tuple[Record, ...]) -> FitData:
     return FitData(records, data.sample_time, (), (), ())
 
@@ -102,17 +114,24 @@ def _spectrum(values: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
 
 
 def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
-    """Band around the strongest response to the input [rad/s]: where the two modes show."""
+    """Band around the resonance [rad/s]: where the two modes show.
+
+    The peak of |P|^2 / |U|, the mean of power and gain: power alone may peak where the input is strong (a PRBS has
+    little to give at the inverse of its hold), gain alone where both are noise.
+    """
     totals: dict[int, FloatArray] = {}
     resolution = 2.0  # Hz: wide enough to smooth, narrow against the distance of modes from zero
     for record in records:
-        omega, P = _spectrum(record.outputs, sample_time)
+        omega, U = _spectrum(record.inputs, sample_time)
+        _, P = _spectrum(record.outputs, sample_time)
         bins = (omega / (2 * np.pi * resolution)).astype(int)
-        binned = np.bincount(bins, (np.abs(P) ** 2).sum(1))
-        totals[len(binned)] = totals.get(len(binned), np.zeros(len(binned))) + binned
-    power = totals[max(totals)]
-    power[: int(10 / resolution)] = 0.0  # drift and creep are no resonance
-    peak = 2 * np.pi * resolution * (int(np.argmax(power)) + 0.5)
+        binned = np.array([np.bincount(bins, (np.abs(values) ** 2).sum(1)) for values in (U, P)])
+        totals[binned.shape[1]] = totals.get(binned.shape[1], np.zeros_like(binned)) + binned
+    drive, response = totals[max(totals)]
+    response[: int(10 / resolution)] = 0.0  # drift and creep are no resonance
+    amplitude = np.sqrt(drive)
+    strength = response / (amplitude + 1e-3 * amplitude.max())
+    peak = 2 * np.pi * resolution * (int(np.argmax(strength)) + 0.5)
     return 0.3 * peak, 2.5 * peak
 
 

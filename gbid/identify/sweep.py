@@ -176,7 +176,7 @@ def sweep(
     """
     powers = powers_of(v.F, blocks.length)
     sums, free = block_sums(v, blocks, starts, weight, powers, engine)
-    return _joined(blocks, sums, _start_hessians(blocks, free), powers)
+    return joined(blocks, sums, start_hessians(blocks, free), powers)
 
 
 def block_sums(
@@ -280,7 +280,7 @@ def _run(
     )
 
 
-def _start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
+def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
     """Hessian with respect to each block's start, (W, n, n): one matrix for all blocks whose samples all count."""
     n = free.shape[2]
     rows = free.reshape(-1, n)
@@ -326,7 +326,7 @@ def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
     return Linked(by_theta, by_start, transition @ by_theta[last] + end_theta[last], transition @ by_start[last])
 
 
-def _joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, powers: FloatArray) -> Sweep:
+def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, powers: FloatArray) -> Sweep:
     """Sum the blocks of each window up."""
     linked = link(blocks, sums.end_theta, powers)
     first, live = blocks.window_first, slice(0, blocks.n_blocks)

@@ -1,1 +1,1 @@
-"""TODO."""
+"""Tables and figures: a result in, a table or axes out."""

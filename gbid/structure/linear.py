@@ -163,7 +163,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     except UsageError:
         raise
     except Exception as error:
-        raise UsageError(f"{where}: matrices(p) failed: {type(error).__name__}: {error}") from error
+        raise UsageError(f"{where}: matrices(p) failed: {in_one_line(error)}") from error
     missing = [letter for letter in "ABC" if letter not in given]
     unknown = [letter for letter in given if letter not in Matrices._fields]
     if missing or unknown or ("delay" in given) != ("B_delayed" in given):
@@ -183,9 +183,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
-        strangers = ca.symvar(ca.veccat(sx[letter]))
-        own = {symbol.name() for symbol in ca.symvar(p)}
-        foreign = [symbol.name() for symbol in strangers if symbol.name() not in own]
+        foreign = [symbol.name() for symbol in ca.Function("m", [p], [sx[letter]], {"allow_free": True}).free_sx()]
         if foreign:
             raise UsageError(
                 f"{where}: {letter} contains symbols that are no parameters: {', '.join(foreign)}"
@@ -239,6 +237,12 @@ def evaluate(
     )
 
 
+def in_one_line(error: Exception) -> str:
+    """Return kind and text of an exception from a user's code; of several lines, as CasADi's, the last tells."""
+    lines = str(error).split("\n")
+    return f"{type(error).__name__}: {lines[-1].strip()}"
+
+
 def _as_matrix(value: Any, where: str) -> ca.SX:
     """Return nested lists, arrays, numbers or CasADi matrices as SX."""
     try:
@@ -249,4 +253,4 @@ def _as_matrix(value: Any, where: str) -> ca.SX:
             return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
         return ca.SX(ca.DM(np.atleast_2d(np.asarray(value, float))))
     except Exception as error:
-        raise UsageError(f"{where} is no matrix: {error}") from None
+        raise UsageError(f"{where} is no matrix: {in_one_line(error)}") from None

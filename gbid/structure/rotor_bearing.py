@@ -107,13 +107,13 @@ class RotorBearing:
         pairs = {"full": PAIRS, "diagonal": ("xx", "yy"), "none": ()}[self.disturbance_gain]
         return [f"bd_{pair}" for pair in pairs]
 
-    def _gain(self, p: Values) -> ca.SX:
+    def _gain(self, p: Values) -> Any:
         entries = [p.get(f"bd_{pair}", 0) for pair in PAIRS]
         rows = ca.vertcat(ca.horzcat(*entries[:2]), ca.horzcat(*entries[2:]))
-        return ca.SX(ca.sparsify(ca.SX(rows)))
+        return ca.sparsify(ca.SX(rows))
 
 
-def _square(p: Values, letter: str) -> ca.SX:
+def _square(p: Values, letter: str) -> Any:
     """Return the 2x2 matrix of the entries ``letter_xx`` to ``letter_yy``."""
     xx, xy, yx, yy = (p[f"{letter}_{pair}"] for pair in PAIRS)
     return ca.vertcat(ca.horzcat(xx, xy), ca.horzcat(yx, yy))

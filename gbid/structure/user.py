@@ -6,7 +6,7 @@ import importlib.util
 from pathlib import Path
 
 from gbid.errors import UsageError
-from gbid.structure.linear import Structure, symbolic_matrices
+from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 
 
 def load_structure(reference: str, folder: Path | None = None) -> Structure:
@@ -42,7 +42,7 @@ def load_structure(reference: str, folder: Path | None = None) -> Structure:
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        raise UsageError(f"{path}: import failed: {type(error).__name__}: {error}") from error
+        raise UsageError(f"{path}: import failed: {in_one_line(error)}") from error
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
     structure = getattr(module, name)
@@ -50,7 +50,7 @@ def load_structure(reference: str, folder: Path | None = None) -> Structure:
         try:
             structure = structure()
         except Exception as error:
-            raise UsageError(f"{path}: {name}() failed: {type(error).__name__}: {error}") from error
+            raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
     if not isinstance(structure, Structure):
         raise UsageError(f"{path}: {name} is no structure; make it a gbid.LinearStructure")
     try:

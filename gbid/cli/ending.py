@@ -1,0 +1,46 @@
+"""The exit code of a verb that ran through, and what it says about items that did not come out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import typer
+
+from gbid.errors import DataError, NotConvergedError, ThresholdError
+from gbid.experiment.stages import CrossvalRow, Outcome
+
+
+def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Outcomes as plain rows."""
+    return [
+        {
+            "stage": o.stage,
+            "item": o.item,
+            "state": o.state,
+            "path": str(o.path),
+            "converged": o.converged,
+            "text": o.text,
+        }
+        for o in outcomes
+    ]
+
+
+def finish(outcomes: Sequence[Outcome], rows: Sequence[CrossvalRow] = ()) -> None:
+    """List what failed on standard error and end with the exit code: 3, 4 or 5, the lowest that holds, or 0."""
+    failed = [o for o in outcomes if o.state == "failed"]
+    stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
+    missed = [row for row in rows if row.missed]
+    for o in failed:
+        typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text}", err=True)
+    for o in stuck:
+        typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})", err=True)
+    for row in missed:
+        typer.echo(
+            f"gbid: error: crossval {row.fit}: model of {row.model} on {row.recording}: "
+            f"{row.output} {row.fit_percent:.2f} %, below the {row.minimum_percent:g} % asked for",
+            err=True,
+        )
+    for found, error in ((failed, DataError), (stuck, NotConvergedError), (missed, ThresholdError)):
+        if found:
+            raise typer.Exit(error.exit_code)

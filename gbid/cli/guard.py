@@ -1,0 +1,49 @@
+"""How a verb ends: errors become one line each on standard error, and an exit code."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import typer
+
+from gbid.cli.printing import print_json
+from gbid.errors import GbidError
+
+INTERRUPTED = 130
+
+
+@contextmanager
+def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
+    """Run the body of a verb.
+
+    Parameters
+    ----------
+    as_json : bool
+        Whether an error is also told as the JSON document on standard output.
+    debug : bool
+        Whether the traceback is shown.
+    """
+    try:
+        yield
+    except typer.Exit:
+        raise
+    except KeyboardInterrupt:
+        _end(["interrupted; what was complete is kept"], INTERRUPTED, "", as_json, debug)
+    except GbidError as error:
+        _end(str(error).splitlines(), error.exit_code, "error: ", as_json, debug)
+    except Exception as error:
+        text = f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it"
+        hint = ")" if debug else " with what --debug shows)"
+        _end([" ".join((text + hint).split())], 1, "defect: ", as_json, debug)
+
+
+def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> None:
+    if debug:
+        typer.echo(traceback.format_exc(), err=True, nl=False)
+    for line in lines:
+        typer.echo(f"gbid: {word}{line}", err=True)
+    if as_json:
+        print_json({"error": {"exit_code": code, "messages": lines}})
+    raise typer.Exit(code)

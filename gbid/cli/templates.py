@@ -1,0 +1,89 @@
+"""The experiments that `gbid new` writes."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from gbid.errors import DataError, UsageError
+from gbid.share import share_folder
+from gbid.structure import LinearModel
+
+
+def write_template(template: str, folder: Path) -> list[Path]:
+    """Write the files of a template into a new or empty folder; all of them or none.
+
+    Parameters
+    ----------
+    template : {"quickstart", "own-recordings"}
+    folder : pathlib.Path
+
+    Returns
+    -------
+    list of pathlib.Path
+        The files.
+
+    Raises
+    ------
+    UsageError
+        When the folder is there and not empty.
+    DataError
+        When it cannot be written.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise UsageError(f"{folder} exists and is not empty; choose another folder")
+    experiments = share_folder("experiments")
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    try:
+        if template == "quickstart":
+            shutil.copyfile(experiments / "quickstart.yaml", part / "experiment.yaml")
+        else:
+            for file in sorted((experiments / "own_recordings").iterdir()):
+                if file.suffix in (".yaml", ".py"):
+                    shutil.copyfile(file, part / file.name)
+            (part / "data").mkdir()
+            for seed in (1, 2):
+                write_example_data(part / "data" / f"run{seed}.csv", seed)
+        mask = os.umask(0)
+        os.umask(mask)
+        part.chmod(0o777 & ~mask)
+        part.replace(folder)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time: float = 5e-4) -> None:
+    """Write a csv file as a data logger might: a mass on a spring, 40 Hz, damping factor 0.05, driven at random.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    seed : int
+    n_samples : int
+    sample_time : float
+        Time between samples [s].
+    """
+    random = np.random.default_rng(seed)
+    omega = 2 * np.pi * 40.0
+    model = LinearModel(
+        np.array([[0.0, 1.0], [-(omega**2), -2 * 0.05 * omega]]),
+        np.array([[0.0], [2.0]]),
+        np.array([[1.0, 0.0]]),
+        np.array([[0.0]]),
+    )
+    volt = np.repeat(random.choice([-1.0, 1.0], size=-(-n_samples // 8)), 8)[:n_samples]
+    metre = model.simulate(volt[:, None], sample_time)[:, 0] + 2e-7 * random.standard_normal(n_samples)
+    time = 1e3 * sample_time * np.arange(n_samples)
+    rows = np.column_stack([time, volt, 1e6 * metre])
+    np.savetxt(path, rows, delimiter=",", header="time [ms],drive [V],position [um]", comments="", fmt="%.6g")

@@ -1,0 +1,109 @@
+"""Content keys: a result is kept as long as its settings and all that it is made from are the same."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import h5py
+
+from gbid._version import __version__
+from gbid.errors import DataError, UsageError
+from gbid.hdf5 import atomic_path
+
+ATTRIBUTE = "key"
+"""Attribute at the root of an HDF5 file; other files hold ``content_key: <key>`` in a comment."""
+
+_IN_TEXT = re.compile(rb"content_key: ([0-9a-f]{64})")
+
+
+def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] = ()) -> str:
+    """Return sha256 over a stage's settings and the keys of what it starts from, as canonical JSON.
+
+    Parameters
+    ----------
+    stage : str
+        Name of the stage.
+    settings : dict
+        Plain values; arrays are taken as lists.
+    sources : iterable of str
+        Keys of the files that it reads.
+    """
+    document = {"stage": stage, "gbid": __version__, "settings": settings, "sources": list(sources)}
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"), default=_plain)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def file_digest(path: Path) -> str:
+    """Return sha256 of a file's bytes.
+
+    Raises
+    ------
+    OSError
+        When it cannot be read.
+    """
+    stat = path.stat()
+    return _digest(path, stat.st_mtime_ns, stat.st_size)
+
+
+@lru_cache(maxsize=1024)
+def _digest(path: Path, _mtime_ns: int, _size: int) -> str:
+    with path.open("rb") as handle:
+        return hashlib.file_digest(handle, "sha256").hexdigest()
+
+
+def stored_key(path: Path) -> str:
+    """Return the key that a result file carries, empty when there is none to be read."""
+    try:
+        if path.suffix == ".h5":
+            with h5py.File(path, "r") as file:
+                return str(file.attrs.get(ATTRIBUTE, ""))
+        found = _IN_TEXT.search(path.read_bytes())
+        return found[1].decode() if found else ""
+    except OSError:
+        return ""
+
+
+def is_current(path: Path, key: str, overwrite: bool) -> bool:
+    """Whether a result is there already, made from the same things.
+
+    Raises
+    ------
+    UsageError
+        When it is there, made from others, and `overwrite` is not set.
+    DataError
+        When it is there and cannot be read.
+    """
+    if not path.exists():
+        return False
+    found = stored_key(path)
+    if found == key:
+        return True
+    if overwrite:
+        return False
+    if not found:
+        raise DataError(f"{path}: truncated or not made by an experiment; remove it or use --overwrite")
+    raise UsageError(
+        f"{path} was made with other settings or data, or by another version of gbid; "
+        "use --overwrite to replace it, or --results to write elsewhere"
+    )
+
+
+@contextmanager
+def writing_keyed(path: Path, key: str) -> Iterator[Path]:
+    """Give a path to write to; with its key, the file takes the place of `path` when the block ends well."""
+    with atomic_path(path, overwrite=True) as part:
+        yield part
+        if path.suffix == ".h5":
+            with h5py.File(part, "r+") as file:
+                file.attrs[ATTRIBUTE] = key
+
+
+def _plain(value: Any) -> Any:
+    return value.tolist()

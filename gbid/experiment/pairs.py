@@ -1,0 +1,56 @@
+"""Which model is validated on which recording (paper, Sec. 3.8)."""
+
+from __future__ import annotations
+
+from gbid.experiment.load import Experiment
+
+TOGETHER = "together"
+"""Name of the one model of a fit to all its recordings together."""
+
+
+def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
+    """Models that a fit gives, by name, each with the recordings that it is fitted to."""
+    names = [q.name for q in experiment.fit_recordings(fit)]
+    if experiment.spec.fits[fit].together:
+        return {TOGETHER: names}
+    return {name: [name] for name in names}
+
+
+def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
+    """Pairs of model and recording of a fit's cross-validation.
+
+    ``cyclic``: model j on recording j + 1 of the same operating point, the last on the first. ``others``: each
+    model on all other excited recordings of its operating points. Names: each model on these.
+
+    Returns
+    -------
+    list of (model, recording)
+        The recording is empty where a model has no partner.
+    """
+    models, on = fit_models(experiment, fit), experiment.spec.crossval[fit].on
+    if on == ("cyclic",):
+        return [(model, _next(experiment, model, list(models))) for model in models]
+    if on == ("others",):
+        pairs = []
+        for model, used in models.items():
+            points = {experiment.recordings[name].point for name in used}
+            others = [
+                q.name for q in experiment.recordings.values() if q.excited and q.point in points and q.name not in used
+            ]
+            pairs += [(model, name) for name in others or [""]]
+        return pairs
+    return [(model, q.name) for model in models for q in experiment.matching(on)]
+
+
+def figure_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
+    """Pairs that a fit's figures show: those of its cross-validation, else each model on its own recordings."""
+    if fit in experiment.spec.crossval:
+        return validation_pairs(experiment, fit)
+    return [(model, name) for model, names in fit_models(experiment, fit).items() for name in names]
+
+
+def _next(experiment: Experiment, model: str, models: list[str]) -> str:
+    """Return the recording after a model's own at the same operating point, empty when there is none."""
+    point = experiment.recordings[model].point
+    same = [name for name in models if experiment.recordings[name].point == point]
+    return same[(same.index(model) + 1) % len(same)] if len(same) > 1 else ""

@@ -1,0 +1,67 @@
+"""Uncertainty of what follows from the parameters: modes and static gains."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import Dual
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
+    """Oscillatory modes of a continuous-time matrix and their derivatives.
+
+    Parameters
+    ----------
+    A : Dual
+        (n, n), with its derivatives by n_p parameters.
+
+    Returns
+    -------
+    modes : (n_modes, 2) array
+        Natural frequency [Hz] and damping factor, by rising frequency.
+    slopes : (n_modes, 2, n_p) array
+
+    Notes
+    -----
+    ``d lambda = w' dA v / (w' v)`` with right and left eigenvectors v and w; for
+    ``f = |lambda| / 2 pi`` and ``zeta = -Re(lambda) / |lambda|`` the rest is the chain rule. Where two
+    eigenvalues meet, the derivative does not exist, and comes out huge.
+    """
+    poles, vectors = np.linalg.eig(A.value)
+    left = np.linalg.inv(vectors)
+    order = [i for i in np.argsort(np.abs(poles)) if poles[i].imag > 1e-9 * abs(poles[i])]
+    modes, slopes = np.zeros((len(order), 2)), np.zeros((len(order), 2, len(A.slope)))
+    for row, i in enumerate(order):
+        pole, size = poles[i], abs(poles[i])
+        d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i])
+        d_size = (np.conj(pole) * d_pole).real / size
+        modes[row] = size / (2 * np.pi), -pole.real / size
+        slopes[row] = d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2
+    return modes, slopes
+
+
+def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, FloatArray]:
+    """Gain at rest ``D - C A^-1 B`` and its derivatives.
+
+    Parameters
+    ----------
+    A, B, C, D : Dual
+        Of a model without a pole at zero.
+
+    Returns
+    -------
+    gain : (n_y, n_u) array
+    slopes : (n_y, n_u, n_p) array
+    """
+    inverse = np.linalg.inv(A.value)
+    A_inverse = Dual(inverse, -inverse @ A.slope @ inverse)
+    gain = D - C @ (A_inverse @ B)
+    return gain.value, gain.slope.transpose(1, 2, 0)
+
+
+def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Standard deviations from derivatives (..., n_p) and the parameters' covariance."""
+    return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))

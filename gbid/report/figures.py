@@ -1,0 +1,178 @@
+"""Figures: a result in, axes out. Nothing here touches pyplot, so nothing is left behind."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.errors import UsageError
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gbid.validate import Validation
+
+STYLE = Path(__file__).with_name("gbid.mplstyle")
+"""Style of all figures."""
+
+# Light and thick below dark, thin and dashed: told apart in grey, too.
+_MEASURED: dict[str, Any] = {"color": "#9e9e9e", "linewidth": 2.6, "linestyle": "-"}
+_SIMULATED: dict[str, Any] = {"color": "#0072b2", "linewidth": 1.3, "linestyle": (0, (4, 1.5))}
+_INPUTS: tuple[dict[str, Any], ...] = (
+    {"color": "#000000", "linestyle": "-"},
+    {"color": "#d55e00", "linestyle": (0, (5, 1.5))},
+    {"color": "#009e73", "linestyle": (0, (1, 1))},
+    {"color": "#cc79a7", "linestyle": "-."},
+)
+_PANEL_INCHES, _FRAME_INCHES = 1.35, 0.95
+
+
+def response_figure(
+    validation: Validation, *, from_s: float | None = None, to_s: float | None = None, title: str | None = None
+) -> Figure:
+    """Draw measured and simulated outputs with the inputs below, as the paper's Fig. 7.
+
+    Parameters
+    ----------
+    validation : Validation
+        From `gbid.cross_validate`.
+    from_s, to_s : float, optional
+        The part shown [s]; the whole recording when left out.
+    title : str, optional
+        In place of operating point and names of the recordings.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        One panel per output, one for the inputs.
+
+    Raises
+    ------
+    UsageError
+        When the part shown holds fewer than two samples.
+    """
+    with mpl.rc_context(fname=STYLE):
+        n_panels = len(validation.output_names) + (1 if validation.input_names else 0)
+        width = mpl.rcParams["figure.figsize"][0]
+        figure = Figure(figsize=(width, _FRAME_INCHES + _PANEL_INCHES * n_panels), layout="constrained")
+        axes = figure.subplots(n_panels, 1, sharex=True, squeeze=False)[:, 0]
+        plot_response(validation, list(axes), from_s=from_s, to_s=to_s)
+        figure.suptitle(_title(validation) if title is None else title, fontsize=10)
+        figure.align_ylabels(list(axes))
+    return figure
+
+
+def plot_response(
+    validation: Validation, axes: Sequence[Axes], *, from_s: float | None = None, to_s: float | None = None
+) -> None:
+    """Draw into axes of one's own: one for each output, then one for the inputs if there is one more.
+
+    Parameters
+    ----------
+    validation : Validation
+    axes : sequence of matplotlib Axes
+    from_s, to_s : float, optional
+        The part shown [s].
+
+    Raises
+    ------
+    UsageError
+        When the part shown holds fewer than two samples, or there are too few axes.
+    """
+    shown = _part(validation.time, from_s, to_s)
+    time = validation.time[shown]
+    n_outputs = len(validation.output_names)
+    if len(axes) < n_outputs:
+        raise UsageError(f"{len(axes)} axes for {n_outputs} outputs; give one for each, and one for the inputs")
+    for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
+        scale, label = _shown_unit(unit)
+        axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
+        axes[i].plot(time, scale * validation.simulated[shown, i], label="simulated", **_SIMULATED)
+        axes[i].set_ylabel(f"{_symbol(name)} [{label}]")
+        axes[i].set_title(f"fit {validation.fit_percent[i]:.1f} %", loc="right", pad=3)
+    if len(axes) > n_outputs and validation.input_names:
+        _plot_inputs(validation, axes[n_outputs], shown)
+    for ax, letter in zip(axes, "abcdefgh", strict=False):
+        ax.set_title(f"{letter})", loc="left", pad=3)
+    _legend_above(axes[0])
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_xlim(time[0], time[-1])
+
+
+def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: str = "") -> None:
+    """Write a figure as png or pdf, the same bytes each time.
+
+    Parameters
+    ----------
+    figure : matplotlib Figure
+    path : path
+    kind : {"png", "pdf"}, optional
+        The ending of the path decides when left out.
+    note : str
+        A remark that travels inside the file.
+    """
+    kind = kind or path.suffix.lstrip(".")
+    metadata: Mapping[str, str | None] = (
+        {"Comment": note} if kind == "png" else {"Keywords": note, "CreationDate": None}
+    )
+    with mpl.rc_context(fname=STYLE):
+        figure.savefig(path, format=kind, metadata=dict(metadata))
+
+
+def _plot_inputs(validation: Validation, ax: Axes, shown: npt.NDArray[np.bool_]) -> None:
+    scale, label = _shown_unit(validation.input_units[0])
+    for i, name in enumerate(validation.input_names):
+        style = _INPUTS[i % len(_INPUTS)]
+        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=_symbol(name), **style)
+    if len(validation.input_names) > 1:
+        _legend_above(ax)
+    ax.set_ylabel(f"{', '.join(_symbol(name) for name in validation.input_names)} [{label}]")
+
+
+def _legend_above(ax: Axes) -> None:
+    """Put the legend above the panel, between its two titles, where it covers no curve."""
+    ax.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.0, borderpad=0.2, handlelength=2.6
+    )
+
+
+def _part(time: npt.NDArray[np.float64], from_s: float | None, to_s: float | None) -> npt.NDArray[np.bool_]:
+    begin, end = time[0] if from_s is None else from_s, time[-1] if to_s is None else to_s
+    step = (time[-1] - time[0]) / max(len(time) - 1, 1)
+    shown = (time >= begin - 1e-6 * step) & (time <= end + 1e-6 * step)
+    if shown.sum() < 2:
+        raise UsageError(
+            f"from {begin:g} s to {end:g} s the recording has {shown.sum()} samples; "
+            f"choose a part of its {time[-1]:g} s"
+        )
+    return np.asarray(shown)
+
+
+def _shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and label: positions in micrometres, all others as they are."""
+    return (1e6, "µm") if unit == "m" else (1.0, unit or "-")
+
+
+def _symbol(name: str) -> str:
+    letter, _, index = name.partition("_")
+    if len(letter) == 1 and "_" not in index:
+        return f"${letter}_{{{index}}}$" if index else f"${letter}$"
+    return name
+
+
+def _title(validation: Validation) -> str:
+    units = {"pressure_bar": "bar", "speed_rpm": "rpm"}
+    point = ", ".join(
+        f"{validation.conditions[key]:g} {unit}" for key, unit in units.items() if key in validation.conditions
+    )
+    model = validation.fitted_to[0] if len(validation.fitted_to) == 1 else f"{len(validation.fitted_to)} recordings"
+    on = f"model of {model} on {validation.recording}"
+    if validation.fitted_to == (validation.recording,):
+        on = f"model of {model} on its own recording"
+    return f"{point}: {on}" if point else on

@@ -1,0 +1,56 @@
+"""Numbers as engineers write them: exponents in steps of three, digits that mean something."""
+
+from __future__ import annotations
+
+from math import floor, isfinite, log10
+
+_SHOWN = {"s": (1e3, "ms")}
+
+
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Factor and unit in which a parameter is shown: times in milliseconds, all others as they are."""
+    return _SHOWN.get(unit, (1.0, unit))
+
+
+def exponent_of(value: float) -> int:
+    """Exponent in steps of three; 0 where no exponent is needed.
+
+    Examples
+    --------
+    >>> exponent_of(-633314.0), exponent_of(50.3), exponent_of(0.571), exponent_of(4.2e-6)
+    (3, 0, 0, -6)
+    """
+    if value == 0 or not isfinite(value) or 1e-3 <= abs(value) < 1e4:
+        return 0
+    return 3 * floor(log10(abs(value)) / 3)
+
+
+def engineering(value: float | None, digits: int = 5, exponent: int | None = None) -> str:
+    """Write a number with so many significant digits and an exponent in steps of three.
+
+    Parameters
+    ----------
+    value : float or None
+        None and values that are not finite give a dash.
+    digits : int
+        Significant digits.
+    exponent : int, optional
+        Exponent to use, so that numbers in a row can be compared; the number's own when left out.
+
+    Examples
+    --------
+    >>> engineering(-633314.2), engineering(0.57123), engineering(123.4, 2, 3)
+    ('-633.31e3', '0.57123', '0.12e3')
+    """
+    if value is None or not isfinite(value):
+        return "-"
+    value = float(f"{value:.{digits - 1}e}")  # rounding may reach the next power of ten
+    exponent = exponent_of(value) if exponent is None else exponent
+    mantissa = value / 10.0**exponent
+    if mantissa == 0:
+        return "0"
+    decimals = max(0, digits - 1 - floor(log10(abs(mantissa))))
+    if decimals > 9:
+        return f"{value:.{digits - 1}e}"
+    text = f"{mantissa:.{decimals}f}"
+    return f"{text}e{exponent}" if exponent else text

@@ -1,0 +1,323 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from experiment_files import gbid, write_quick, write_spring, write_spring_data
+
+from gbid import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT)}
+
+
+def files_in(folder):
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file())
+
+
+def command(*arguments, **options):
+    """Run gbid as its own process."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "gbid.cli.main", *map(str, arguments)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    """An experiment that has been run."""
+    folder = tmp_path_factory.mktemp("spring")
+    path = write_spring(folder)
+    assert gbid("run", path) == 0
+    return path
+
+
+def test_version_and_help(capsys):
+    assert gbid("--version") == 0
+    assert capsys.readouterr().out == f"gbid {__version__}\n"
+    assert gbid("--help") == 0
+    text = capsys.readouterr().out
+    for verb in ("new", "check", "rig", "import", "fit", "crossval", "run"):
+        assert f"  {verb} " in text
+        assert gbid(verb, "--help") == 0
+        assert "EXPERIMENT" in capsys.readouterr().out or verb == "new"
+
+
+def test_help_imports_nothing_heavy():
+    code = (
+        "import sys\n"
+        "from gbid.cli.main import app\n"
+        "try:\n    app(['--help'], prog_name='gbid')\n"
+        "except SystemExit:\n    pass\n"
+        "heavy = ['casadi', 'numpy', 'scipy', 'matplotlib', 'h5py', 'pydantic', 'ruamel', 'rich']\n"
+        "found = [name for name in heavy if name in sys.modules]\n"
+        "assert not found, found\n"
+    )
+    subprocess.run([sys.executable, "-c", code], env=ENVIRONMENT, check=True, stdout=subprocess.DEVNULL)
+
+
+def test_importing_gbid_is_cheap_and_gives_all_names():
+    code = (
+        "import sys, gbid\n"
+        "assert not {'casadi', 'numpy', 'matplotlib', 'scipy'} & set(sys.modules)\n"
+        "for name in gbid.__all__: assert callable(getattr(gbid, name)) or name == '__version__', name\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "assert dir(gbid) == sorted(gbid.__all__)\n"
+        "from gbid.prefilter import RunoutMap, prefilter\n"
+        "import gbid.prefilter.store\n"
+        "try:\n    gbid.prefilter(None)\nexcept AttributeError:\n    pass  # called like the function\n"
+        "try:\n    gbid.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], env=ENVIRONMENT, check=True)
+
+
+@pytest.mark.parametrize("arguments", [["fits"], ["run"], ["run", "a.yaml", "--jsn"], ["new", "x", "--template", "y"]])
+def test_wrong_command_lines_end_with_2(arguments, capsys):
+    assert gbid(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err
+
+
+def test_run_prints_data_on_stdout_and_progress_on_stderr(spring, capsys):
+    assert gbid("run", spring) == 0
+    captured = capsys.readouterr()
+    for word in ("spring, run1", "k ", "frequency [Hz]", "40.0", "cross-validation", "99.", "results: "):
+        assert word in captured.out
+    assert "fit spring/run1: kept" in captured.err
+    assert "kept" not in captured.out
+
+
+def no_constants(name):
+    raise AssertionError(f"{name} in JSON")
+
+
+def document(text):
+    return json.loads(text, parse_constant=no_constants)
+
+
+def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
+    assert gbid("check", spring, "--json") == 0
+    assert document(capsys.readouterr().out)["recordings"] == ["run1", "run2"]
+    assert gbid("import", spring, "--json") == 0
+    found = document(capsys.readouterr().out)["recordings"]
+    assert [(r["name"], r["samples"], r["sample_time_s"], r["state"]) for r in found] == [
+        ("run1", 1500, 5e-4, "kept"),
+        ("run2", 1500, 5e-4, "kept"),
+    ]
+    assert gbid("fit", spring, "--json") == 0
+    fits = document(capsys.readouterr().out)["fits"]
+    rows = {row["parameter"]: row for row in fits[0]["parameters"]}
+    assert rows["b"]["estimate"] == pytest.approx(2e6, rel=0.01)
+    assert rows["b"]["truth"] is None
+    assert fits[0]["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
+    assert gbid("crossval", spring, "--json") == 0
+    assert [r["model"] for r in document(capsys.readouterr().out)["crossval"]] == ["run1", "run2"]
+    assert gbid("run", spring, "--json") == 0
+    assert set(document(capsys.readouterr().out)) == {
+        "experiment",
+        "results",
+        "prefilter",
+        "fits",
+        "crossval",
+        "figures",
+        "outcomes",
+    }
+
+
+def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
+    path = write_quick(tmp_path, ("crossval:\n  bearing: {on: cyclic, minimum_percent: 90}\n", ""))
+    assert gbid("rig", path) == 0
+    captured = capsys.readouterr()
+    assert "p5_n6000_still1" in captured.out
+    assert "rig p5_n6000_prbs1: made" in captured.err
+    assert gbid("fit", path) == 0
+    out = capsys.readouterr().out
+    k_xx = next(line for line in out.splitlines() if line.strip().startswith("k_xx")).split()
+    assert k_xx[1].startswith("-62")
+    assert k_xx[1].endswith("e3")
+    assert k_xx[3] == "-628.89e3"
+    assert out.count("N s/(kg m)") == 8
+    tau_x = next(line for line in out.splitlines() if line.strip().startswith("tau_x")).split()
+    assert tau_x[-1] == "ms"
+    assert tau_x[3] == "0.58565"
+    assert "3078.0" in out  # the piezos' truth
+    assert "u_x to p_x" in out
+    assert "run-out share" in out
+    assert gbid("fit", path, "--json", "--only", "piezos") == 0
+    found = document(capsys.readouterr().out)
+    assert {f["fit"] for f in found["fits"]} == {"piezos"}
+    x_of_first = found["prefilter"][0]
+    assert x_of_first["channel"] == "p_x"
+    assert 0 < x_of_first["runout_share"] < 1
+    assert x_of_first["rms_after"] < x_of_first["rms_before"]
+    assert gbid("fit", path, "--only", "piezo") == 2
+    assert "did you mean 'piezos'" in capsys.readouterr().err
+
+
+def test_results_option(spring, tmp_path):
+    assert gbid("import", spring, "--results", tmp_path / "elsewhere") == 0
+    assert files_in(tmp_path / "elsewhere") == ["recordings/run1.h5", "recordings/run2.h5"]
+
+
+def test_yaml_problems_end_with_2_one_line_each_and_write_nothing(tmp_path, capsys):
+    path = write_quick(tmp_path, ("seed: 3", "sed: 3"), ("harmonics: 6", "median: 2.5"))
+    for verb in ("check", "rig", "fit", "crossval", "run"):
+        assert gbid(verb, path) == 2
+        captured = capsys.readouterr()
+        assert captured.out == ""
+        lines = captured.err.splitlines()
+        assert len(lines) == 2
+        assert lines[0].startswith(f"gbid: error: {path}:4:3: rig.sed: unknown key; did you mean 'seed'?")
+    assert gbid("run", path, "--json") == 2
+    error = document(capsys.readouterr().out)["error"]
+    assert error["exit_code"] == 2
+    assert len(error["messages"]) == 2
+    assert files_in(tmp_path) == ["experiment.yaml"]
+
+
+def test_missing_experiment_and_section(tmp_path, spring, capsys):
+    assert gbid("run", tmp_path / "none.yaml") == 2
+    assert "no such file" in capsys.readouterr().err
+    assert gbid("rig", spring) == 2
+    assert "no section 'rig'" in capsys.readouterr().err
+
+
+def test_bad_data_end_with_3_and_do_not_stop_the_others(tmp_path, capsys):
+    path = write_spring(tmp_path)
+
+    def damage(columns):
+        columns["position [um]"][3] = float("inf")
+
+    write_spring_data(tmp_path / "data" / "run1.csv", 1, damage=damage)
+    assert gbid("check", path) == 3
+    captured = capsys.readouterr()
+    assert captured.err.startswith(f"gbid: error: {path}:6:")
+    assert "sample 3" in captured.err
+    assert files_in(tmp_path / "results") == []
+    assert gbid("import", path) == 3
+    captured = capsys.readouterr()
+    assert "run2" in captured.out
+    assert "run1" not in captured.out
+    assert captured.err.splitlines()[-1].startswith("gbid: error: import run1: ")
+    assert gbid("run", path, "--json") == 3
+    captured = capsys.readouterr()
+    found = document(captured.out)
+    assert [f["model"] for f in found["fits"]] == ["run2"]
+    assert any(o["state"] == "failed" and "sample 3" in o["text"] for o in found["outcomes"])
+
+
+def test_truncated_result_ends_with_3(tmp_path, capsys):
+    path = write_spring(tmp_path)
+    assert gbid("import", path) == 0
+    stored = tmp_path / "results/spring/recordings/run1.h5"
+    stored.write_bytes(stored.read_bytes()[:3000])
+    assert gbid("run", path) == 3
+    assert f"{stored}: truncated" in capsys.readouterr().err
+    assert gbid("run", path, "--overwrite") == 0
+
+
+def test_no_convergence_ends_with_4_and_is_written(tmp_path, capsys):
+    path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, max_iterations: 1"))
+    assert gbid("run", path) == 4
+    captured = capsys.readouterr()
+    assert "iteration limit" in captured.out
+    assert "gbid: error: fit spring/run1: not converged: iteration limit reached (written to " in captured.err
+    assert "fits/spring/run1.h5" in files_in(tmp_path / "results" / "spring")
+
+
+def test_a_missed_threshold_ends_with_5_and_is_written(spring, tmp_path, capsys):
+    spring = spring.parent / "strict.yaml"
+    spring.write_text((spring.parent / "experiment.yaml").read_text().replace("percent: 90", "percent: 99.99"))
+    assert gbid("crossval", spring, "--json") == 5
+    captured = capsys.readouterr()
+    assert all(row["missed"] for row in document(captured.out)["crossval"])
+    assert "below the 99.99 % asked for" in captured.err
+    assert gbid("run", spring) == 5
+
+
+def test_changed_settings_end_with_2_until_overwritten(tmp_path, capsys):
+    path = write_spring(tmp_path)
+    assert gbid("run", path) == 0
+    before = {name: (tmp_path / "results" / name).read_bytes() for name in files_in(tmp_path / "results")}
+    path.write_text(path.read_text().replace("focus: simulation", "focus: simulation, window: 300"))
+    capsys.readouterr()
+    assert gbid("run", path) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert before == {name: (tmp_path / "results" / name).read_bytes() for name in files_in(tmp_path / "results")}
+    assert gbid("run", path, "--overwrite") == 0
+
+
+def test_a_defect_of_ours_ends_with_1(spring, monkeypatch, capsys):
+    import gbid.experiment.load as load
+
+    def broken(*_):
+        raise ZeroDivisionError("oh")
+
+    monkeypatch.setattr(load, "load_experiment", broken)
+    assert gbid("check", spring) == 1
+    captured = capsys.readouterr()
+    assert captured.err.count("\n") == 1
+    assert "gbid: defect: ZeroDivisionError: oh (a defect of gbid" in captured.err
+    assert gbid("check", spring, "--debug", "--json") == 1
+    captured = capsys.readouterr()
+    assert "Traceback" in captured.err
+    assert document(captured.out)["error"]["exit_code"] == 1
+
+
+@pytest.mark.parametrize("template", ["quickstart", "own-recordings"])
+def test_new_experiments_are_in_order(template, tmp_path, capsys):
+    folder = tmp_path / "mine"
+    assert gbid("new", folder, "--template", template) == 0
+    assert capsys.readouterr().out.splitlines() == [str(folder / name) for name in files_in(folder)]
+    assert gbid("check", folder / "experiment.yaml") == 0
+    before = files_in(folder)
+    assert gbid("new", folder, "--template", template) == 2
+    assert "not empty" in capsys.readouterr().err
+    assert files_in(tmp_path) == [f"mine/{name}" for name in before]
+
+
+def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
+    (tmp_path / "mine").mkdir()  # an empty folder will do
+    assert gbid("new", tmp_path / "mine", "--template", "own-recordings") == 0
+    capsys.readouterr()
+    assert gbid("run", tmp_path / "mine" / "experiment.yaml", "--json") == 0
+    found = document(capsys.readouterr().out)
+    for fit in found["fits"]:
+        assert fit["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
+        assert fit["modes"][0]["damping"] == pytest.approx(0.05, abs=1e-3)
+    assert min(row["fit_percent"] for row in found["crossval"]) > 99
+
+
+@pytest.mark.parametrize(
+    ("line", "changes"),
+    [
+        ("rig p5_n6000_still1: made", [("duration_s: 1.0", "duration_s: 20.0")]),
+        ("prefilter map p5_n6000: made", [("duration_s: 1.0", "duration_s: 5.0")]),  # the fit follows
+    ],
+)
+def test_ctrl_c_ends_with_130_and_leaves_nothing_half_written(tmp_path, line, changes):
+    path = write_quick(tmp_path, *changes)
+    process = command("run", path)
+    for text in process.stderr:
+        if text.startswith(line):
+            break
+    time.sleep(0.15)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.splitlines()[-1].startswith("gbid: interrupted")
+    assert "Traceback" not in err
+    assert out == ""
+    left = files_in(tmp_path)
+    assert not [name for name in left if name.endswith(".part")]
+    assert "results/quick/recordings/p5_n6000_still1.h5" in left
+    assert not [name for name in left if "/fits/" in name]

@@ -1,0 +1,211 @@
+from pathlib import Path
+
+import pytest
+from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write_spring
+
+from gbid.errors import UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.pairs import figure_pairs, validation_pairs
+from gbid.experiment.problems import ExperimentError
+
+EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+
+
+def problems_of(path: Path) -> list[str]:
+    with pytest.raises(ExperimentError) as caught:
+        load_experiment(path)
+    for problem in caught.value.problems:
+        assert problem.position.startswith(f"{path}:")
+    return [str(p).removeprefix(f"{path}:") for p in caught.value.problems]
+
+
+def place_of(text: str, needle: str) -> str:
+    """Line and column, from 1, of a piece of text."""
+    before = text[: text.index(needle)]
+    return f"{before.count(chr(10)) + 1}:{len(before) - before.rfind(chr(10))}"
+
+
+def test_quick_experiment_plans_its_recordings(tmp_path):
+    experiment = load_experiment(write_quick(tmp_path))
+    assert list(experiment.recordings) == ["p5_n6000_still1", "p5_n6000_prbs1", "p5_n6000_prbs2"]
+    assert [q.excited for q in experiment.recordings.values()] == [False, True, True]
+    assert experiment.results == tmp_path / "results" / "quick"
+    assert load_experiment(tmp_path / "experiment.yaml", tmp_path / "elsewhere").results == tmp_path / "elsewhere"
+    assert validation_pairs(experiment, "bearing") == [
+        ("p5_n6000_prbs1", "p5_n6000_prbs2"),
+        ("p5_n6000_prbs2", "p5_n6000_prbs1"),
+    ]
+
+
+def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
+    path = write_quick(tmp_path, ("noise_p_m: 30e-9", "noise_p_m: 30e-9, offset_p_m: [1e-6, -2.5E-6]"))
+    rig = load_experiment(path).spec.rig
+    assert rig.prbs.amplitude_m == 4.5e-6
+    assert rig.prbs.hold_s == 0.02
+    assert rig.sensors.noise_p_m == 3e-8
+    assert rig.sensors.offset_p_m == (1e-6, -2.5e-6)
+    assert rig.operating_points[0].speed_rpm == 6000.0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("harmonics: 6", "harmonic: 6", "harmonic: 6", ["prefilter.harmonic", "did you mean 'harmonics'"]),
+        ("prefilter:", "prefiltre:", "prefiltre:", ["unknown key", "did you mean 'prefilter'"]),
+        ("seed: 3", "seed: three", "seed: three", ["rig.seed", "whole number", "'three'"]),
+        ("seed: 3", "seed: 3.5", "seed: 3.5", ["rig.seed", "whole number", "3.5"]),
+        ("seed: 3", "seed: true", "seed: true", ["rig.seed", "whole number", "True"]),
+        ("4.5e-6", "4.5 um", "amplitude_m: 4.5 um", ["rig.prbs.amplitude_m", "the bare number"]),
+        ("4.5e-6", "-1.0e-6", "amplitude_m: -1.0e-6", ["above 0", "-1e-06"]),
+        ("30e-9", ".nan", "noise_p_m: .nan", ["finite number", "nan"]),
+        ("stop: paper", "stop: papper", "stop: papper", ["fits.bearing.stop", "'tolerance' or 'paper'", "'papper'"]),
+        ("stop: paper", "window: 1", "window: 1", ["fits.bearing.window", "at least 2"]),
+        ("stop: paper", "window: once", "window: once", ["fits.bearing.window", "the word one", "'once'"]),
+        ("name: quick", "name: 2024", "name: 2024", ["name", "text", "quotes"]),
+        ("name: quick", "name: a/b", "name: a/b", ["'a/b' cannot be a name"]),
+        ("format: 1", "format: 2", "format: 2", ["format", "expected 1", "found 2"]),
+        ("prefilter:\n  harmonics: 6", "prefilter:", "prefilter:", ["is empty", "{}"]),
+    ],
+)
+def test_form_is_checked_with_position(tmp_path, old, new, place, words):
+    path = write_quick(tmp_path, (old, new))
+    (line,) = problems_of(path)
+    assert line.startswith(place_of(QUICK.replace(old, new), place) + ": ")
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("speed_rpm: 6000", "speed_rpm: 8000", "speed_rpm: 8000", ["operating_points[0].speed_rpm", "0 to 6000"]),
+        ("seed: 3", "model: nosuch", "model: nosuch", ["no model 'nosuch'", "theisen2016"]),
+        ("20e-3", "20.05e-3", "hold_s: 20.05e-3", ["rig.prbs.hold_s", "whole number of samples"]),
+        ("{recordings: 1}", "{recordings: 0}", "prefilter:", ["no stationary recording at p5_n6000"]),
+        ("harmonics: 6", "median: 4", "median: 4", ["4 is even"]),
+        ("piezo_pair", "piezo_pairs", "structure: piezo_pairs", ["did you mean 'piezo_pair'", "file.py:name"]),
+        ("piezo_pair}", "piezo_pair, options: {pade_order: 2}}", "options: {pade", ["no option pade_order"]),
+        ("stop: paper", "start: {k_x: 1}", "k_x: 1", ["fits.bearing.start.k_x", "did you mean 'k_yx'"]),
+        ("stop: paper", "fixed: {tau: 1}", "tau: 1", ["fits.bearing.fixed.tau", "no parameter"]),
+        ("stop: paper", "bounds: {tau_x: [1, 0]}", "tau_x: [1", ["lower bound 1 is not below"]),
+        ("stop: paper", "start: {tau_x: 1.0}", "tau_x: 1.0", ["outside the bounds"]),
+        ("stop: paper", "recordings: p6*", "recordings: p6*", ["no recording matches 'p6*'"]),
+        ("stop: paper", "inputs: w", "inputs: w", ["has no signal 'w'"]),
+        ("stop: paper", "outputs: p.z", "outputs: p.z", ["has no channel 'z'"]),
+        ("bearing: {on: cyclic", "bearings: {on: cyclic", "bearings: {on", ["did you mean 'bearing'"]),
+        ("on: cyclic", "on: [p9]", "on: [p9]", ["no recording matches 'p9'"]),
+        ("recordings: 2", "recordings: 1", "on: cyclic", ["no other recording for 'p5_n6000_prbs1'"]),
+        ("stop: paper", "together: true", "on: cyclic", ["cyclic needs a fit per recording"]),
+        ("to_s: 0.4", "to_s: 0.1", "to_s: 0.1", ["not after from_s"]),
+        ("from_s: 0.2, to_s: 0.4", "from_s: 2.0", "from_s: 2.0", ["beyond the end"]),
+    ],
+)
+def test_meaning_is_checked_with_position(tmp_path, old, new, place, words):
+    path = write_quick(tmp_path, (old, new))
+    (line,) = problems_of(path)
+    assert line.startswith(place_of(QUICK.replace(old, new), place) + ": ")
+    for word in words:
+        assert word in line
+
+
+def test_all_problems_at_once_in_the_order_of_the_file(tmp_path):
+    path = write_quick(
+        tmp_path, ("seed: 3", "sed: 3"), ("harmonics: 6", "median: 2.5"), ("stop: paper", "focus: sharp")
+    )
+    assert [line.split(": ")[1] for line in problems_of(path)] == ["rig.sed", "prefilter.median", "fits.bearing.focus"]
+    path = write_quick(tmp_path, ("6000", "7000"), ("piezo_pair", "piezo"), ("to_s: 0.4", "to_s: 0.1"))
+    keys = [line.split(": ")[1] for line in problems_of(path)]
+    assert keys == ["rig.operating_points[0].speed_rpm", "fits.piezos.structure", "figures.bearing.to_s"]
+
+
+def test_faults_of_form_do_not_hide_those_of_meaning(tmp_path):
+    path = write_quick(tmp_path, ("seed: 3", "sede: 3"), ("rotor_bearing", "rotor_baering"), ("on: cyclic", "on: p9"))
+    keys = [line.split(": ")[1] for line in problems_of(path)]
+    assert keys == ["rig.sede", "fits.bearing.structure", "crossval.bearing.on"]
+    # a block that cannot be read would make what refers to it look wrong as well
+    path = write_quick(tmp_path, ("fits:", "fit:"))
+    assert [line.split(": ")[1] for line in problems_of(path)] == ["fit"]
+    path = write_quick(tmp_path, ("recordings: 2", "recordings: two"), ("to_s: 0.4", "to_s: 0.1"))
+    assert [line.split(": ")[1] for line in problems_of(path)] == ["rig.prbs.recordings", "figures.bearing.to_s"]
+
+
+def test_missing_keys_and_sections(tmp_path):
+    path = write_quick(tmp_path, text="format: 1\n")
+    assert problems_of(path) == ["1:1: name: is missing; add it"]
+    path = write_quick(tmp_path, text="format: 1\nname: x\n")
+    assert "no recordings" in problems_of(path)[0]
+    path = write_quick(tmp_path, text="- 1\n")
+    assert "expected keys" in problems_of(path)[0]
+    path = write_quick(tmp_path, text="")
+    assert "found nothing" in problems_of(path)[0]
+
+
+def test_faults_of_yaml_have_positions(tmp_path):
+    (line,) = problems_of(write_quick(tmp_path, ("name: quick", "name: quick\nname: twice")))
+    assert line.startswith("3:1: ")
+    assert "duplicate key" in line
+    (line,) = problems_of(write_quick(tmp_path, ("seed: 3", "seed: [3")))
+    assert int(line.split(":")[0]) >= 4
+    (line,) = problems_of(write_quick(tmp_path, ("  seed", "\tseed")))
+    assert line.startswith("4:1: ")
+
+
+def test_missing_file_is_wrong_usage(tmp_path):
+    with pytest.raises(UsageError, match="no such file"):
+        load_experiment(tmp_path / "none.yaml")
+
+
+def test_spring_experiment_loads_its_own_structure(tmp_path):
+    experiment = load_experiment(write_spring(tmp_path))
+    assert experiment.recordings["run1"].signals == {"u": ("u",), "y": ("1",)}
+    assert figure_pairs(experiment, "spring") == [("run1", "run2"), ("run2", "run1")]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place", "words"),
+    [
+        ("run1.csv", "run9.csv", "file: run9", ["import.recordings[0].file", "no file", "run9.csv"]),
+        ("run1.csv", "run1.txt", "file: run1.txt", ["unknown ending '.txt'", ".csv"]),
+        ("data_folder: data", "data_folder: dat", "data_folder: dat", ["no folder"]),
+        ("name: run2", "name: run1", "name: run1\n      file: run2", ["a second recording named 'run1'"]),
+        ("      time: time\n", "", "name: run1", ["neither sample_time nor time"]),
+        ("spring.py:structure", "other.py:structure", 'structure: "oth', ["no file"]),
+        ("spring.py:structure", "spring.py:other", 'structure: "spr', ["no name 'other'"]),
+        ("on: cyclic", "on: [cyclic, run1]", "on: [cyc", ["stands alone"]),
+    ],
+)
+def test_meaning_of_an_import_is_checked(tmp_path, old, new, place, words):
+    path = write_spring(tmp_path, (old, new))
+    text = SPRING.replace(old, new)
+    line = problems_of(path)[0]
+    where = place if place in text else new
+    assert line.startswith(place_of(text, where).split(":")[0] + ":")
+    for word in words:
+        assert word in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("import gbid", "import nosuchmodule", "import failed"),
+        ('"C": [[1, 0]]', '"C": [[1, 0, 0]]', "C has shape (1, 3), expected (1, 2)"),
+        ("structure = ", "other = ", "no name 'structure'"),
+    ],
+)
+def test_broken_structure_files_are_named(tmp_path, old, new, words):
+    path = write_spring(tmp_path)
+    (tmp_path / "spring.py").write_text(SPRING_STRUCTURE.replace(old, new))
+    (line,) = problems_of(path)
+    assert line.startswith(place_of(SPRING, 'structure: "spring') + ": fits.spring.structure: ")
+    assert words in line
+
+
+def test_shipped_experiments_load():
+    assert load_experiment(EXPERIMENTS / "quickstart.yaml").spec.title
+    for name in ("twin_mode_rig", "rotary_arm"):
+        path = EXPERIMENTS / f"{name}.yaml"
+        data = path.parent / "../../shared/data" / f"{name}.npz"
+        if data.is_file():
+            assert load_experiment(path).spec.name == name
+        else:  # without the data that is all that is wrong
+            assert all("import" in line for line in problems_of(path))

@@ -1,0 +1,375 @@
+import csv
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from experiment_files import QUICK, copy_results, write_quick, write_spring, write_spring_data
+
+from gbid.errors import DataError, UsageError
+from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import (
+    Job,
+    import_recordings,
+    load_made_fit,
+    make_rig_recordings,
+    prefilter_recordings,
+    run_crossval,
+    run_fits,
+)
+from gbid.experiment.structures import make_structure, true_model, true_values
+from gbid.lpv import load_model
+from gbid.prefilter import load_prefilter
+from gbid.recording import load_recording
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+
+
+class Log:
+    def __init__(self):
+        self.begun, self.ended, self.iterations = [], [], 0
+
+    def begin(self, stage, item):
+        self.begun.append((stage, item))
+
+    def iteration(self, progress):
+        self.iterations += 1
+
+    def end(self, outcome):
+        self.ended.append((outcome.stage, outcome.item, outcome.state))
+
+
+def all_stages(job):
+    outcomes = []
+    for stage in (make_rig_recordings, import_recordings, prefilter_recordings, run_fits):
+        outcomes += stage(job)
+    made, rows = run_crossval(job)
+    return outcomes + made, rows
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """The quick experiment with all its results."""
+    folder = tmp_path_factory.mktemp("quick")
+    log = Log()
+    job = Job(load_experiment(write_quick(folder)), reporter=log)
+    outcomes, rows = all_stages(job)
+    return folder, job, outcomes, rows, log
+
+
+@pytest.fixture
+def again(made, tmp_path):
+    """A copy of these results, to be run again."""
+    copy_results(made[0], tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def tree(folder):
+    return {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def test_results_tree(made):
+    folder, _, outcomes, _, log = made
+    assert {o.state for o in outcomes} == {"made"}
+    assert all(o.converged for o in outcomes)
+    assert sorted(tree(folder / "results" / "quick")) == [
+        "crossval/bearing.csv",
+        "fits/bearing/p5_n6000_prbs1.h5",
+        "fits/bearing/p5_n6000_prbs2.h5",
+        "fits/piezos/p5_n6000_prbs1.h5",
+        "fits/piezos/p5_n6000_prbs2.h5",
+        "prefilter/p5_n6000.h5",
+        "prefiltered/p5_n6000_prbs1.h5",
+        "prefiltered/p5_n6000_prbs2.h5",
+        "recordings/p5_n6000_prbs1.h5",
+        "recordings/p5_n6000_prbs2.h5",
+        "recordings/p5_n6000_still1.h5",
+    ]
+    assert log.iterations > 4
+    assert len(log.begun) == len(log.ended) == len(outcomes)
+
+
+def test_recordings_are_those_of_the_yaml(made):
+    folder = made[0] / "results" / "quick"
+    raw = load_recording(folder / "recordings" / "p5_n6000_prbs1.h5")
+    assert raw.n_samples == 5000
+    assert dict(raw.conditions) == {"pressure_bar": 5.0, "speed_rpm": 6000.0}
+    assert set(np.unique(raw.signal("r"))) == {-4.5e-6, 4.5e-6}
+    runout_map, reports = load_prefilter(folder / "prefilter" / "p5_n6000.h5")
+    assert len(runout_map.orders) == 6
+    assert [report.name for report in reports] == ["p5_n6000_prbs1", "p5_n6000_prbs2"]
+    filtered = load_recording(folder / "prefiltered" / "p5_n6000_prbs1.h5")
+    assert np.abs(filtered.signal("p").mean(axis=0)).max() < 5e-8
+    assert np.ptp(raw.signal("p")) > np.ptp(filtered.signal("p"))
+
+
+def test_fits_find_the_truth_of_the_rig(made):
+    job = made[1]
+    result, structure = load_made_fit(job, "bearing", "p5_n6000_prbs1"), make_structure(job.experiment, "bearing")
+    truth = true_values(job.experiment, result.recordings, structure)
+    assert truth == {k: float(v) for k, v in load_model("theisen2016").key_parameters(5.0, 6000.0).items()}
+    for name in ("k_xx", "k_yy", "b_xx", "b_yy", "d_xx", "d_yy"):
+        assert result.parameters[name] == pytest.approx(truth[name], rel=0.1)
+    modes, true = result.model.modes(), true_model(structure, truth, result.model).modes()
+    np.testing.assert_allclose([m[0] for m in modes], [m[0] for m in true], atol=0.3)
+    piezos = load_made_fit(job, "piezos", "p5_n6000_prbs2")
+    assert piezos.parameters["kappa_x"] == pytest.approx(1.863, rel=0.01)
+    assert "bd_xy" not in result.parameters  # options: disturbance_gain diagonal
+
+
+def test_crossval_table_is_that_of_the_rows(made):
+    folder, _, _, rows, _ = made
+    lines = (folder / "results" / "quick" / "crossval" / "bearing.csv").read_text().splitlines()
+    read = list(csv.DictReader(line for line in lines if not line.startswith("#")))
+    assert len(read) == len(rows) == 4
+    for found, row in zip(read, rows, strict=True):
+        assert float(found["fit_percent"]) == row.fit_percent > 90
+        assert (found["model"], found["recording"], found["output"]) == (row.model, row.recording, row.output)
+        assert found["model"] != found["recording"]
+        assert not row.missed
+
+
+def test_rerun_keeps_everything(made, again):
+    before = tree(again)
+    log = Log()
+    outcomes, rows = all_stages(Job(load_experiment(again / "experiment.yaml"), reporter=log))
+    assert {o.state for o in outcomes} == {"kept"}
+    assert tree(again) == before
+    assert log.begun == []
+    assert [r.fit_percent for r in rows] == [r.fit_percent for r in made[3]]
+
+
+def test_a_missing_result_alone_is_made_again(again):
+    (again / "results/quick/fits/piezos/p5_n6000_prbs1.h5").unlink()
+    outcomes, _ = all_stages(Job(load_experiment(again / "experiment.yaml")))
+    assert [o.item for o in outcomes if o.state == "made"] == ["piezos/p5_n6000_prbs1"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first_refused"),
+    [
+        ("seed: 3", "seed: 4", "recordings/p5_n6000_still1.h5"),
+        ("harmonics: 6", "harmonics: 5", "prefiltered/p5_n6000_prbs1.h5"),
+        ("stop: paper", "stop: paper, window: 250", "fits/bearing/p5_n6000_prbs1.h5"),
+    ],
+)
+def test_other_settings_are_refused_and_nothing_changes(again, old, new, first_refused):
+    path = write_quick(again, (old, new))
+    before = tree(again)
+    with pytest.raises(UsageError, match="other settings") as caught:
+        all_stages(Job(load_experiment(path)))
+    assert str(again / "results" / "quick" / first_refused) in str(caught.value)
+    assert tree(again) == before
+
+
+def test_overwrite_replaces_only_what_differs(again):
+    path = write_quick(again, ("stop: paper", "stop: paper, window: 250"))
+    outcomes, _ = all_stages(Job(load_experiment(path), overwrite=True))
+    made = {o.item for o in outcomes if o.state == "made"}
+    assert made == {"bearing/p5_n6000_prbs1", "bearing/p5_n6000_prbs2", "bearing"}
+
+
+def test_titles_and_thresholds_do_not_make_results_stale(again):
+    path = write_quick(
+        again, ("name: quick", "name: quick\ntitle: New"), ("minimum_percent: 90", "minimum_percent: 99.9")
+    )
+    outcomes, rows = all_stages(Job(load_experiment(path)))
+    assert {o.state for o in outcomes} == {"kept"}
+    assert all(row.missed for row in rows)
+
+
+def test_a_truncated_recording_fails_its_own_items_only(again):
+    path = again / "results/quick/recordings/p5_n6000_prbs1.h5"
+    path.write_bytes(path.read_bytes()[:5000])
+    outcomes = make_rig_recordings(Job(load_experiment(again / "experiment.yaml")))
+    assert [o.state for o in outcomes] == ["kept", "failed", "kept"]
+    assert "truncated" in outcomes[1].text
+    for folder in ("prefiltered", "prefilter", "fits", "crossval"):
+        for file in (again / "results/quick" / folder).rglob("*.*"):
+            file.unlink()
+    job = Job(load_experiment(again / "experiment.yaml"))
+    outcomes = [*prefilter_recordings(job), *run_fits(job)]
+    assert {o.item: o.state for o in outcomes} == {
+        "p5_n6000_prbs1": "failed",
+        "p5_n6000_prbs2": "made",
+        "map p5_n6000": "made",
+        "bearing/p5_n6000_prbs1": "failed",
+        "bearing/p5_n6000_prbs2": "made",
+        "piezos/p5_n6000_prbs1": "failed",
+        "piezos/p5_n6000_prbs2": "made",
+    }
+    assert "p5_n6000_prbs1.h5" in outcomes[0].text
+    outcomes, rows = run_crossval(job)
+    assert [o.state for o in outcomes] == ["failed", "failed"]
+    assert rows == []
+
+
+def test_later_stages_name_what_is_missing(tmp_path):
+    job = Job(load_experiment(write_quick(tmp_path)))
+    outcomes = prefilter_recordings(job)
+    assert {o.state for o in outcomes} == {"failed"}
+    assert "`gbid rig` makes it" in outcomes[0].text
+    with pytest.raises(DataError, match="`gbid fit` makes it"):
+        load_made_fit(job, "bearing", "p5_n6000_prbs1")
+    assert not (tmp_path / "results").exists()
+
+
+def test_a_fit_that_does_not_converge_is_written_and_flagged(again):
+    path = write_quick(again, ("{structure: piezo_pair}", "{structure: piezo_pair, max_iterations: 1}"))
+    job = Job(load_experiment(path), overwrite=True)
+    for _ in range(2):  # made, then kept
+        outcomes = [o for o in run_fits(job) if o.item.startswith("piezos")]
+        assert [o.converged for o in outcomes] == [False, False]
+        assert "iteration limit" in outcomes[0].text
+        assert load_made_fit(job, "piezos", "p5_n6000_prbs1").success is False
+
+
+def test_fit_to_all_recordings_together(tmp_path):
+    path = write_spring(
+        tmp_path, ("focus: simulation", "focus: simulation, together: true"), ("on: cyclic", 'on: "run*"')
+    )
+    job = Job(load_experiment(path))
+    outcomes, rows = all_stages(job)
+    assert {o.state for o in outcomes} == {"made"}
+    result = load_made_fit(job, "spring", "together")
+    assert result.recordings == ("run1", "run2")
+    assert result.parameters["k"] == pytest.approx((2 * np.pi * 40) ** 2, rel=1e-3)
+    assert result.parameters["b"] == pytest.approx(2e6, rel=1e-2)
+    assert [(r.model, r.recording) for r in rows] == [("together", "run1"), ("together", "run2")]
+
+
+def test_a_changed_data_file_makes_results_stale(tmp_path):
+    path = write_spring(tmp_path)
+    all_stages(Job(load_experiment(path)))
+    write_spring_data(tmp_path / "data" / "run2.csv", seed=5)
+    with pytest.raises(UsageError, match=r"recordings/run2\.h5 was made with other settings or data"):
+        all_stages(Job(load_experiment(path)))
+
+
+def test_a_changed_structure_file_makes_its_fits_stale(tmp_path):
+    path = write_spring(tmp_path)
+    all_stages(Job(load_experiment(path)))
+    (tmp_path / "spring.py").write_text((tmp_path / "spring.py").read_text() + "# changed\n")
+    with pytest.raises(UsageError, match=r"fits/spring/run1\.h5"):
+        all_stages(Job(load_experiment(path)))
+
+
+def nan(columns):
+    columns["position [um]"][700] = np.nan
+
+
+def constant(columns):
+    columns["drive [V]"][:] = 1.0
+
+
+def saturated(columns):
+    columns["position [um]"][:] = np.clip(columns["position [um]"], -8, 8)
+
+
+def jumping_clock(columns):
+    columns["time [s]"][900:] += 0.01
+
+
+def short(columns):
+    for name in columns:
+        columns[name] = columns[name][:20]
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (nan, ["position", "not finite", "sample 700"]),
+        (constant, ["'u'", "is constant"]),
+        (saturated, ["'y'", "is saturated", "rests_at_limits"]),
+        (jumping_clock, ["time", "jumps at sample 900"]),
+        (short, ["20 samples", "at least 100"]),
+    ],
+)
+def test_one_bad_recording_of_two(tmp_path, damage, words):
+    path = write_spring(tmp_path)
+    write_spring_data(tmp_path / "data" / "run1.csv", 1, damage=damage)
+    job = Job(load_experiment(path))
+    first, second = import_recordings(job)
+    assert (first.state, second.state) == ("failed", "made")
+    for word in ["run1", *words]:
+        assert word in first.text
+    assert [p.name for p in (tmp_path / "results/spring/recordings").iterdir()] == ["run2.h5"]
+    outcomes = run_fits(job)
+    assert [o.state for o in outcomes] == ["failed", "made"]
+
+
+def test_a_signal_may_rest_at_its_limits_when_the_yaml_says_so(tmp_path):
+    path = write_spring(tmp_path)
+    write_spring_data(tmp_path / "data" / "run1.csv", 1, damage=saturated)
+    text = path.read_text().replace("stored_unit: um}", "stored_unit: um, rests_at_limits: true}")
+    path.write_text(text)
+    assert [o.state for o in import_recordings(Job(load_experiment(path)))] == ["made", "made"]
+
+
+def test_means_are_removed_when_asked(tmp_path):
+    path = write_spring(tmp_path, ("      time: time\n", "      time: time\n      remove_mean: true\n"))
+    import_recordings(Job(load_experiment(path)))
+    rec = load_recording(tmp_path / "results/spring/recordings/run1.h5")
+    assert np.abs(rec.signal("y").mean()) < 1e-12
+    assert "mean" in rec.provenance["remove_mean"]
+
+
+def test_keys_follow_settings_and_sources():
+    one = content_key("fit", {"a": 1.0, "b": [1, 2]}, ["x"])
+    assert one == content_key("fit", {"b": [1, 2], "a": 1.0}, ["x"])
+    others = [
+        content_key("fit", {"a": 1.0, "b": [2, 1]}, ["x"]),
+        content_key("fit", {"a": 1.0, "b": [1, 2]}, ["y"]),
+        content_key("rig", {"a": 1.0, "b": [1, 2]}, ["x"]),
+    ]
+    assert len({one, *others}) == 4
+
+
+def test_stored_key_of_foreign_files_is_empty(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w"):
+        pass
+    (tmp_path / "b.h5").write_text("no HDF5")
+    (tmp_path / "c.csv").write_text("1,2\n")
+    assert [stored_key(tmp_path / name) for name in ("a.h5", "b.h5", "c.csv")] == ["", "", ""]
+
+
+def test_prefilter_without_a_map(tmp_path):
+    path = write_quick(
+        tmp_path, ("harmonics: 6", "method: none"), ("stationary: {recordings: 1}", "stationary: {recordings: 0}")
+    )
+    job = Job(load_experiment(path))
+    make_rig_recordings(job)
+    outcomes = prefilter_recordings(job)
+    assert {o.state for o in outcomes} == {"made"}
+    assert load_prefilter(tmp_path / "results/quick/prefilter/p5_n6000.h5")[0] is None
+
+
+def test_several_operating_points_have_their_own_maps_and_partners(tmp_path):
+    points = "    - {pressure_bar: 5.0, speed_rpm: 6000}\n"
+    path = write_quick(tmp_path, (points, points + "    - {pressure_bar: 6.5, speed_rpm: 0}\n"))
+    assert QUICK.count(points) == 1
+    job = Job(load_experiment(path))
+    assert len(make_rig_recordings(job)) == 6
+    outcomes = prefilter_recordings(job)
+    assert [o.item for o in outcomes if "map" in o.item] == ["map p5_n6000", "map p6.5_n0"]
+    assert {o.state for o in outcomes} == {"made"}
+
+
+@pytest.mark.skipif(not (SHARED / "rotary_arm.npz").is_file(), reason="shared/data is not beside this checkout")
+def test_rotary_arm(tmp_path):
+    job = Job(load_experiment(EXPERIMENTS / "rotary_arm.yaml", tmp_path))
+    all_stages(job)
+    result = load_made_fit(job, "arm", "together")
+    assert result.loss <= 0.05441221
+    assert result.parameters["b1"] == pytest.approx(19.78595, rel=1e-3)
+    assert result.parameters["K2"] == pytest.approx(-138.18086, rel=1e-3)
+
+
+@pytest.mark.skipif(not (SHARED / "twin_mode_rig.npz").is_file(), reason="shared/data is not beside this checkout")
+def test_twin_mode_rig(tmp_path):
+    job = Job(load_experiment(EXPERIMENTS / "twin_mode_rig.yaml", tmp_path))
+    _, rows = all_stages(job)
+    assert [row.recording for row in rows] == ["validation", "validation"]
+    assert min(row.fit_percent for row in rows) >= 93.5

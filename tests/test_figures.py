@@ -1,0 +1,137 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from gbid.errors import UsageError
+from gbid.report.figures import plot_response, response_figure, save_figure
+from gbid.report.numbers import engineering, exponent_of
+from gbid.validate import Validation
+
+
+@pytest.fixture
+def validation():
+    time = 2e-4 * np.arange(10000)
+    measured = 1e-6 * np.column_stack([np.sin(700 * time), 2 * np.cos(700 * time)])
+    return Validation(
+        recording="two",
+        fitted_to=("one",),
+        fit_percent=np.array([91.23, 88.0]),
+        infinity_norm=np.array([1e-7, 2e-7]),
+        measured=measured,
+        simulated=0.9 * measured,
+        inputs=5e-6 * np.sign(np.column_stack([np.sin(20 * time), np.cos(20 * time)])),
+        time=time,
+        initial_state=np.zeros(4),
+        input_names=("u_x", "u_y"),
+        output_names=("p_x", "p_y"),
+        input_units=("m", "m"),
+        output_units=("m", "m"),
+        conditions={"pressure_bar": 5.0, "speed_rpm": 6000.0},
+    )
+
+
+def test_figure_shows_what_it_should(validation):
+    figure = response_figure(validation, from_s=1.2, to_s=1.4)
+    assert figure.get_suptitle() == "5 bar, 6000 rpm: model of one on two"
+    first, second, third = figure.axes
+    assert [ax.get_ylabel() for ax in figure.axes] == ["$p_{x}$ [µm]", "$p_{y}$ [µm]", "$u_{x}$, $u_{y}$ [µm]"]
+    assert third.get_xlabel() == "time [s]"
+    assert second.get_title(loc="right") == "fit 88.0 %"
+    measured, simulated = first.get_lines()
+    assert [line.get_label() for line in (measured, simulated)] == ["measured", "simulated"]
+    time = measured.get_xdata()
+    assert (time[0], time[-1]) == (pytest.approx(1.2), pytest.approx(1.4))
+    np.testing.assert_allclose(measured.get_ydata(), np.sin(700 * time), atol=1e-9)
+    np.testing.assert_allclose(simulated.get_ydata(), 0.9 * np.sin(700 * time), atol=1e-9)
+    for line in third.get_lines():
+        np.testing.assert_allclose(np.abs(line.get_ydata()), 5.0)
+    styles = [line.get_linestyle() for line in (measured, simulated)]
+    assert styles[0] != styles[1]  # told apart in grey
+
+
+def test_legends_cover_no_curve(validation):
+    figure = response_figure(validation)
+    figure.draw_without_rendering()
+    legends = [(ax, ax.get_legend()) for ax in figure.axes if ax.get_legend()]
+    assert len(legends) == 2
+    for ax, legend in legends:
+        assert legend.get_window_extent().y0 >= ax.get_window_extent().y1 - 1
+        titles = [t.get_window_extent() for t in (ax._left_title, ax._right_title) if t.get_text()]
+        assert not any(legend.get_window_extent().overlaps(box) for box in titles)
+
+
+def test_other_units_and_one_input(validation):
+    from dataclasses import replace
+
+    other = replace(
+        validation,
+        inputs=validation.inputs[:, :1],
+        input_names=("drive",),
+        input_units=("",),
+        output_units=("V", "m"),
+        output_names=("y", "p_long_name"),
+        fitted_to=("two",),
+        conditions={},
+    )
+    figure = response_figure(other)
+    assert [ax.get_ylabel() for ax in figure.axes] == ["$y$ [V]", "p_long_name [µm]", "drive [-]"]
+    assert figure.get_suptitle() == "model of two on its own recording"
+    assert figure.axes[2].get_legend() is None
+    assert np.abs(figure.axes[0].get_lines()[0].get_ydata()).max() == pytest.approx(1e-6, rel=1e-3)
+
+
+def test_a_part_outside_is_refused(validation):
+    with pytest.raises(UsageError, match="has 0 samples"):
+        response_figure(validation, from_s=3.0, to_s=4.0)
+    with pytest.raises(UsageError, match="1 axes for 2 outputs"):
+        plot_response(validation, [Figure().subplots()])
+
+
+def test_files_are_the_same_each_time(validation, tmp_path):
+    for kind in ("png", "pdf"):
+        for name in ("a", "b"):
+            save_figure(response_figure(validation), tmp_path / f"{name}.{kind}", note="content_key: " + 64 * "a")
+        one, two = ((tmp_path / f"{name}.{kind}").read_bytes() for name in ("a", "b"))
+        assert one == two
+        assert b"content_key: " + 64 * b"a" in one
+    assert (tmp_path / "a.png").read_bytes()[:4] == b"\x89PNG"
+    assert (tmp_path / "a.pdf").read_bytes()[:5] == b"%PDF-"
+
+
+def test_no_global_state_and_no_pyplot(validation):
+    before = dict(mpl.rcParams)
+    response_figure(validation)
+    assert dict(mpl.rcParams) == before
+    code = "import sys, gbid.report.figures; assert 'matplotlib.pyplot' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
+
+
+@pytest.mark.parametrize(
+    ("value", "arguments", "text"),
+    [
+        (-633314.2, (), "-633.31e3"),
+        (999999.9, (), "1.0000e6"),
+        (0.57123, (), "0.57123"),
+        (50.3, (), "50.300"),
+        (123.4, (2, 3), "0.12e3"),
+        (0.0, (), "0"),
+        (4.2e-6, (3,), "4.20e-6"),
+        (None, (), "-"),
+        (float("nan"), (), "-"),
+    ],
+)
+def test_engineering_numbers(value, arguments, text):
+    assert engineering(value, *arguments) == text
+
+
+def test_engineering_numbers_read_back():
+    for exponent in range(-12, 13):
+        for mantissa in (1.0, 2.34567, 9.9999, -5.5):
+            value = mantissa * 10.0**exponent
+            assert float(engineering(value)) == pytest.approx(value, rel=1e-4)
+            assert exponent_of(value) % 3 == 0

@@ -1,0 +1,146 @@
+"""The one-step-ahead predictor against a plain loop with scipy's exponential, its derivatives against differences."""
+
+import numpy as np
+import pytest
+from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit_data, piezo_motion, predicted, smooth
+from scipy.linalg import expm
+
+from gbid.errors import UsageError
+from gbid.identify.blocks import cut
+from gbid.identify.predictor import build_predictor
+from gbid.identify.sweep import residuals
+from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
+
+GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
+ROTOR_AT = {**KEY, **GAINS}
+
+
+def predictor_of(structure, values, h=H, hold="zoh", focus="prediction", fixed=None):
+    return build_predictor(structure, fixed or {}, h, hold, focus, [values])
+
+
+def theta_of(predictor, values):
+    return np.array([values[q.name] for q in predictor.free])
+
+
+def predictions(predictor, values, u, y, x0, h=H):
+    """Outputs of the predictor run over one record as one window."""
+    data = fit_data([(u, y)], h)
+    blocks = cut(data, predictor, None)
+    error = residuals(predictor.at(theta_of(predictor, values)), blocks, np.atleast_2d(x0))
+    return y - error.transpose(2, 0, 1).reshape(-1, y.shape[1])[: len(y)]
+
+
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+@pytest.mark.parametrize("holds", [("zoh", "zoh"), ("foh", "foh"), ("zoh", "foh"), ("foh", "zoh")])
+def test_predictions_are_those_of_the_plain_loop(focus, holds):
+    u, y = smooth(60, seed=1), smooth(60, seed=2)
+    x0 = np.array([0.4, -1.0])
+    predictor = predictor_of(EVERY, EVERY_AT, hold=holds, focus=focus)
+    found = predictions(predictor, EVERY_AT, u, y, x0)
+    expected = predicted(evaluate(EVERY, EVERY_AT), u, y, H, holds, x0, focus == "prediction")
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    assert predictor.feeds_back is (focus == "prediction")
+    assert predictor.lead == tuple(i for i, hold in enumerate(holds) if hold == "foh")
+
+
+@pytest.mark.parametrize("order", [1, 3])
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_predictions_of_the_rotor_bearing(order, hold):
+    structure = RotorBearing(pade_order=order)
+    u, y = piezo_motion(700), 1e-6 * smooth(700, seed=3)
+    x0 = np.concatenate([[1e-6, -2e-6, 1e-3, 5e-4], np.zeros(2 * order)])
+    predictor = predictor_of(structure, ROTOR_AT, TS, hold)
+    found = predictions(predictor, ROTOR_AT, u, y, x0, TS)
+    expected = predicted(evaluate(structure, ROTOR_AT), u, y, TS, (hold, hold), x0, True)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_simulation_focus_is_the_model_running_on_its_own():
+    u = piezo_motion(400)
+    predictor = predictor_of(RotorBearing(), ROTOR_AT, TS, "foh", "simulation")
+    model = evaluate(RotorBearing(), ROTOR_AT)
+    y = model.simulate(u, TS, intersample="foh")
+    found = predictions(predictor, ROTOR_AT, u, y, np.zeros(6), TS)
+    np.testing.assert_allclose(found, y, rtol=0, atol=1e-12 * np.abs(y).max())
+    np.testing.assert_allclose(predictor.at(theta_of(predictor, KEY)).F, expm(model.A * TS), rtol=1e-9, atol=1e-11)
+    assert predictor.unused == tuple(GAINS)
+    assert len(predictor.free) == 14
+
+
+def test_a_model_that_fits_predicts_its_own_simulation_whatever_the_gain():
+    """Without errors the disturbance gain has nothing to feed back."""
+    u = smooth(80)
+    y = evaluate(EVERY, EVERY_AT).simulate(u, H, intersample="foh", initial_state=[1.0, 0.5])
+    for k in (0.0, 0.7, 3.0):
+        values = {**EVERY_AT, "k": k}
+        predictor = predictor_of(EVERY, values, hold="foh")
+        np.testing.assert_allclose(predictions(predictor, values, u, y, [1.0, 0.5]), y, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("structure", "values", "h", "hold", "focus"),
+    [
+        (EVERY, EVERY_AT, H, ("zoh", "foh"), "prediction"),
+        (EVERY, EVERY_AT, H, "foh", "simulation"),
+        (MODE, {**MODE_AT, "l1": 0.4, "l2": -0.2}, H, "zoh", "prediction"),
+        (RotorBearing(), ROTOR_AT, TS, "foh", "prediction"),
+        (RotorBearing(pade_order=3), ROTOR_AT, TS, "zoh", "prediction"),
+        (PiezoPair(disturbance_gain="full"), {**ACTUATORS, "bd1_x": 9.0, "bd2_x": 8.0, "bd1_y": 7.0, "bd2_y": 6.0}, TS, "zoh", "prediction"),
+        (Plant(RotorBearing(pade_order=2)), {**ROTOR_AT, **ACTUATORS}, TS, "zoh", "prediction"),
+    ],
+    ids=["every-mixed", "every-simulation", "mode", "rotor", "rotor-pade-3", "piezo", "plant"],
+)  # fmt: skip
+def test_derivatives_are_those_of_central_differences(structure, values, h, hold, focus):
+    predictor = predictor_of(structure, values, h, hold, focus)
+    theta = theta_of(predictor, values)
+    at = predictor.at(theta)
+    n, n_y, n_z, n_p = predictor.n_states, predictor.n_outputs, predictor.n_z, len(theta)
+    for letter, shape in (("F", (n, n)), ("G", (n, n_z)), ("C", (n_y, n)), ("H", (n_y, n_z))):
+        assert getattr(at, letter).shape == shape
+        found = getattr(at, "d" + letter)
+        assert found.shape == (n_p, *shape)
+        for i in range(n_p):
+            step = np.zeros(n_p)
+            step[i] = 1e-5 * abs(theta[i])
+            plus, minus = (getattr(predictor.at(theta + sign * step), letter) for sign in (1, -1))
+            expected = (plus - minus) / (2 * step[i])
+            # Rows of positions and velocities differ by orders of magnitude: each has a size of its own.
+            size = np.abs(expected).max(axis=1, keepdims=True)
+            rounding = 1e-15 * np.abs(plus).max(axis=1, keepdims=True) / step[i]
+            error = np.abs(found[i] - expected)
+            assert (error <= 1e-6 * size + 20 * rounding).all(), f"d{letter} by {predictor.free[i].name}"
+
+
+def test_fixed_parameters_are_put_in_and_the_rest_is_free():
+    fixed = {"a": 0.8, "c": 0.7, "k": 1.2}
+    predictor = predictor_of(EVERY, EVERY_AT, fixed=fixed)
+    assert [q.name for q in predictor.free] == ["w", "b", "d"]
+    assert predictor.unused == ()
+    whole = predictor_of(EVERY, EVERY_AT)
+    part, full = predictor.at(theta_of(predictor, EVERY_AT)), whole.at(theta_of(whole, EVERY_AT))
+    index = [i for i, q in enumerate(whole.free) if q.name not in fixed]
+    for letter in "FGCH":
+        np.testing.assert_allclose(getattr(part, letter), getattr(full, letter), rtol=1e-13, atol=1e-15)
+        found, expected = getattr(part, "d" + letter), getattr(full, "d" + letter)[index]
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-14)
+
+
+def test_nothing_to_estimate_is_refused():
+    with pytest.raises(UsageError, match="structure 'every': no free parameter to estimate"):
+        predictor_of(EVERY, EVERY_AT, fixed=EVERY_AT)
+
+
+def test_a_gain_of_zero_entries_is_no_feedback():
+    predictor = predictor_of(RotorBearing(disturbance_gain="none"), KEY, TS, "foh")
+    assert not predictor.feeds_back
+    assert predictor.n_z == 4
+
+
+def test_squarings_are_enough_where_they_were_asked_for_and_not_far_beyond():
+    lag = LinearStructure("lag", [Parameter("a")], lambda p: {"A": [[-p.a]], "B": [[p.a]], "C": [[1]]})
+    predictor = build_predictor(lag, {}, H, "zoh", "simulation", [{"a": 1.0}, {"a": 50.0}])
+    for a in (1.0, 20.0, 50.0):
+        assert predictor.enough_squarings(np.array([a]))
+        np.testing.assert_allclose(predictor.at(np.array([a])).F, [[np.exp(-a * H)]], rtol=1e-12, atol=1e-15)
+    assert not predictor.enough_squarings(np.array([1000.0]))

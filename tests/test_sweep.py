@@ -1,0 +1,220 @@
+"""The pass over the samples against plain loops and finite differences."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from fit_cases import EVERY, EVERY_AT, KEY, TS, H, fit_data, piezo_motion, smooth
+
+from gbid.identify.blocks import cut
+from gbid.identify.predictor import build_predictor
+from gbid.identify.sweep import residuals, sweep
+from gbid.structure import RotorBearing
+
+WEIGHT = np.array([[2.0, 0.7], [0.7, 1.0]])
+SIZES = {
+    "one window": ((47,), None),
+    "last window of one sample": ((50,), 7),
+    "windows that fit": ((48,), 8),
+    "three records, three lengths": ((50, 23, 31), 10),
+    "records shorter than a window": ((40, 9, 12), 20),
+    "one window of several blocks": ((1300,), None),
+    "windows of several blocks": ((1400, 700), 600),
+    "odd windows of several blocks": ((1511, 530, 1100), 777),
+}
+
+
+def case(lengths, window, hold=("zoh", "foh"), focus="prediction"):
+    """Predictor, its values, blocks, and some window starts that meet nothing."""
+    predictor = build_predictor(EVERY, {}, H, hold, focus, [EVERY_AT])
+    theta = np.array([EVERY_AT[q.name] for q in predictor.free])
+    data = fit_data([(smooth(n, seed=i), smooth(n, seed=50 + i)) for i, n in enumerate(lengths)])
+    blocks = cut(data, predictor, window)
+    starts = np.random.default_rng(9).normal(size=(blocks.n_windows, 2))
+    return SimpleNamespace(predictor=predictor, theta=theta, data=data, blocks=blocks, starts=starts)
+
+
+def windows_of(c):
+    """Regressors, outputs of each window and whether another follows in its record."""
+    size = c.blocks.length * c.blocks.per_window
+    for record in c.data.records:
+        z = c.predictor.regressors(record.inputs, record.outputs)
+        for first in range(0, record.n_samples, size):
+            part = slice(first, first + size)
+            yield z[part], record.outputs[part], first + size < record.n_samples
+
+
+def by_hand(c, weight):
+    """All sums by a loop over samples; state and sensitivities side by side."""
+    v = c.predictor.at(c.theta)
+    n, n_p, n_y = len(v.F), len(c.theta), len(v.C)
+    total = SimpleNamespace(
+        error_products=np.zeros((n_y, n_y)),
+        gradient=np.zeros(n_p),
+        hessian=np.zeros((n_p, n_p)),
+        gradient_start=[],
+        hessian_mixed=[],
+        hessian_start=[],
+        end=[],
+        end_theta=[],
+        end_start=[],
+        linked=[],
+        errors=[],
+    )
+    for w, (z, y, follows) in enumerate(windows_of(c)):
+        x, s, t = c.starts[w], np.zeros((n, n_p)), np.eye(n)
+        g, m, h = np.zeros(n), np.zeros((n_p, n)), np.zeros((n, n))
+        for zk, yk in zip(z, y, strict=True):
+            e = yk - v.C @ x - v.H @ zk
+            psi = v.C @ s + (v.dC @ x + v.dH @ zk).T
+            phi = v.C @ t
+            total.error_products += np.outer(e, e)
+            total.gradient -= psi.T @ weight @ e
+            total.hessian += psi.T @ weight @ psi
+            g -= phi.T @ weight @ e
+            m += psi.T @ weight @ phi
+            h += phi.T @ weight @ phi
+            total.errors.append(e)
+            s = v.F @ s + (v.dF @ x + v.dG @ zk).T
+            x, t = v.F @ x + v.G @ zk, v.F @ t
+        for name, value in (
+            ("gradient_start", g),
+            ("hessian_mixed", m),
+            ("hessian_start", h),
+            ("end", x),
+            ("end_theta", s),
+            ("end_start", t),
+            ("linked", follows),
+        ):
+            getattr(total, name).append(value)
+    return total
+
+
+@pytest.mark.parametrize("weight", [np.eye(2), WEIGHT], ids=["unit", "full weight"])
+@pytest.mark.parametrize("size", SIZES)
+def test_the_pass_is_what_the_plain_loop_gives(size, weight):
+    c = case(*SIZES[size])
+    found = sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
+    expected = by_hand(c, weight)
+    assert c.blocks.n_windows == len(expected.end)
+    linked = np.flatnonzero(expected.linked)
+    np.testing.assert_array_equal(c.blocks.linked, linked)
+    for name in ("error_products", "gradient", "hessian", "gradient_start", "hessian_mixed", "hessian_start"):
+        a, b = getattr(found, name), np.array(getattr(expected, name))
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-11 * np.abs(b).max(), err_msg=name)
+    for name in ("end", "end_theta", "end_start"):  # ends of a record's last window meet nothing
+        a, b = getattr(found, name)[linked], np.array(getattr(expected, name))[linked]
+        np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12 * np.abs(b).max(initial=0), err_msg=name)
+
+
+@pytest.mark.parametrize("size", ["last window of one sample", "windows of several blocks"])
+def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
+    c = case(*SIZES[size])
+    error = residuals(c.predictor.at(c.theta), c.blocks, c.starts)
+    flat = error.transpose(2, 0, 1).reshape(-1, 2)
+    used = c.blocks.used.T.ravel() == 1
+    np.testing.assert_allclose(flat[used], by_hand(c, np.eye(2)).errors, rtol=1e-9, atol=1e-10)
+    assert not flat[~used].any()
+    assert used.sum() == c.data.n_samples == c.blocks.n_samples
+
+
+@pytest.mark.parametrize("size", ["three records, three lengths", "windows of several blocks"])
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+def test_gradient_and_sensitivities_are_those_of_finite_differences(size, focus):
+    c = case(*SIZES[size], focus=focus)
+
+    def run(theta, starts):
+        s = sweep(c.predictor.at(theta), c.blocks, starts, WEIGHT)
+        return 0.5 * np.sum(s.error_products * WEIGHT), s.end[c.blocks.linked]
+
+    def difference(direction_theta, direction_starts, step=1e-6):
+        plus, minus = (run(c.theta + d * direction_theta, c.starts + d * direction_starts) for d in (step, -step))
+        return [(a - b) / (2 * step) for a, b in zip(plus, minus, strict=True)]
+
+    s = sweep(c.predictor.at(c.theta), c.blocks, c.starts, WEIGHT)
+    random = np.random.default_rng(4)
+    for _ in range(4):
+        a, b = random.normal(size=c.theta.shape), random.normal(size=c.starts.shape)
+        cost, end = difference(a, b)
+        assert s.gradient @ a + np.sum(s.gradient_start * b) == pytest.approx(cost, rel=2e-6)
+        linked = c.blocks.linked
+        moved = s.end_theta[linked] @ a + (s.end_start[linked] @ b[linked][:, :, None])[:, :, 0]
+        np.testing.assert_allclose(moved, end, rtol=1e-5, atol=1e-6)
+
+
+def test_the_gauss_newton_hessian_is_exact_where_the_model_is_linear_in_its_unknowns():
+    """D, and the starts, enter the outputs of simulation focus linearly."""
+    c = case((60,), 20, focus="simulation")
+    d = [q.name for q in c.predictor.free].index("d")
+    weight = WEIGHT
+
+    def gradient(move):
+        theta = c.theta.copy()
+        theta[d] += move
+        s = sweep(c.predictor.at(theta), c.blocks, c.starts + move, weight)
+        return s.gradient[d], s.gradient_start
+
+    s = sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
+    step = np.ones(2)
+    expected = s.hessian[d, d] + sum(m[d] @ step for m in s.hessian_mixed)
+    assert gradient(1.0)[0] - gradient(0.0)[0] == pytest.approx(expected, rel=1e-9)
+    starts = s.hessian_mixed[:, d] + s.hessian_start @ step
+    np.testing.assert_allclose(gradient(1.0)[1] - gradient(0.0)[1], starts, rtol=1e-8)
+
+
+@pytest.mark.parametrize("window", [10, 33, 600])
+def test_linked_windows_are_single_shooting(window):
+    """With closed gaps, cost and total derivatives do not know the windows."""
+    single = case((1300,), None)
+    v = single.predictor.at(single.theta)
+    many = case((1300,), window)
+    # States along the one long window are the starts of the short ones.
+    size = many.blocks.length * many.blocks.per_window
+    z = single.predictor.regressors(single.data.records[0].inputs, single.data.records[0].outputs)
+    x, trajectory = single.starts[0], []
+    for k in range(1300):
+        if k % size == 0:
+            trajectory.append(x)
+        x = v.F @ x + v.G @ z[k]
+    whole = sweep(v, single.blocks, single.starts, WEIGHT)
+    parts = sweep(v, many.blocks, np.array(trajectory), WEIGHT)
+    linked = many.blocks.linked
+    np.testing.assert_allclose(parts.end[linked], np.array(trajectory)[linked + 1], rtol=1e-8, atol=1e-10)
+    np.testing.assert_allclose(parts.error_products, whole.error_products, rtol=1e-10)
+    # Condense: dx0_w/dtheta along the chain.
+    gradient, hessian = parts.gradient.copy(), parts.hessian.copy()
+    S = np.zeros_like(parts.end_theta[0])
+    for w in range(many.blocks.n_windows):
+        gradient += S.T @ parts.gradient_start[w]
+        cross = parts.hessian_mixed[w] @ S
+        hessian += cross + cross.T + S.T @ parts.hessian_start[w] @ S
+        S = parts.end_theta[w] + parts.end_start[w] @ S
+    np.testing.assert_allclose(gradient, whole.gradient, rtol=1e-8, atol=1e-9 * np.abs(whole.gradient).max())
+    np.testing.assert_allclose(hessian, whole.hessian, rtol=1e-8, atol=1e-10 * np.abs(whole.hessian).max())
+
+
+def test_the_rotor_in_its_own_units():
+    """Positions of micrometres beside velocities and stiffnesses of 1e5: no entry drowns."""
+    structure = RotorBearing()
+    values = {**KEY, "bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
+    predictor = build_predictor(structure, {}, TS, "foh", "prediction", [values])
+    theta = np.array([values[q.name] for q in predictor.free])
+    data = fit_data([(piezo_motion(900), 1e-6 * smooth(900, seed=6))], TS)
+    blocks = cut(data, predictor, 250)
+    starts = 1e-6 * np.random.default_rng(2).normal(size=(blocks.n_windows, 6)) * [1, 1, 800, 800, 1, 1]
+    c = SimpleNamespace(predictor=predictor, theta=theta, data=data, blocks=blocks, starts=starts)
+    found, expected = sweep(predictor.at(theta), blocks, starts, 1e12 * WEIGHT), by_hand(c, 1e12 * WEIGHT)
+    size = np.sqrt(np.diag(expected.hessian))
+    np.testing.assert_allclose(found.hessian / np.outer(size, size), expected.hessian / np.outer(size, size), atol=1e-9)
+    np.testing.assert_allclose(found.gradient / size, expected.gradient / size, atol=1e-8)
+    np.testing.assert_allclose(found.error_products, expected.error_products, rtol=1e-10)
+
+
+def test_windows_are_as_long_as_asked_or_rounded_up_to_whole_blocks():
+    for window in (2, 7, 100, 499, 512, 513, 777, 1024, 1200):
+        blocks = case((1200,), window).blocks
+        size = blocks.length * blocks.per_window
+        assert window <= size < window + blocks.per_window
+        assert blocks.n_windows == -(-1200 // size)
+        assert blocks.window_size.sum() == blocks.n_blocks
+    assert case((30, 50), 1000).blocks.n_windows == 2
