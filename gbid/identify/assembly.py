@@ -21,8 +21,8 @@ from gbid.structure import Parameter, Structure
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Scope = Literal["recording", "operating_point"]
-_WINDOW = 500  # samples: a few periods of the modes
-_MOST_WINDOWS = 96  # beyond, longer windows; the solver's own work grows with their number
+_WINDOW = {"prediction": 256, "simulation": 128}  # samples; fed back outputs steady a prediction: it may be longer
+_MOST_WINDOWS = 192  # beyond, longer windows; the solver's own work grows with their number
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def assemble(
     offsets: bool,
     local: Mapping[str, Scope],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
-    window: int | None | Literal["auto"],
+    window: int | None,
     engine: EngineName,
 ) -> Assembly:
     """Assemble a fit.
@@ -105,10 +105,9 @@ def assemble(
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
-    samples = window if window != "auto" else _automatic_window(data)
     gap_predictor = predictor_for("simulation") if any(p.is_gap for record in pieces for p in record) else None
 
-    builder = _Builder(samples, begin, engine)
+    builder = _Builder(window, begin, engine)
     for names, record in zip(record_names, pieces, strict=True):
         for piece in record:
             chosen = gap_predictor if piece.is_gap and gap_predictor is not None else predictor
@@ -211,11 +210,30 @@ def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predic
     ]
 
 
-def _automatic_window(data: FitData) -> int:
-    """Windows of about 500 samples, their number a multiple of the lanes, longer in long recordings."""
+def automatic_window(data: FitData, focus: Focus) -> int:
+    """Choose a window: short enough for bad starts, the number of windows a multiple of the lanes.
+
+    Parameters
+    ----------
+    data : FitData
+    focus : {"prediction", "simulation"}
+
+    Returns
+    -------
+    int
+        Samples.
+    """
     n = data.n_samples
-    count = min(max(LANES, LANES * round(n / (_WINDOW * LANES))), _MOST_WINDOWS)
+    count = min(max(LANES, LANES * round(n / (_WINDOW[focus] * LANES))), _MOST_WINDOWS)
     return -(-n // count)
+
+
+def full_start(assembly: Assembly, begin: Mapping[str, float]) -> dict[str, float]:
+    """Start values under full names: every group of a local parameter starts alike, offsets at zero."""
+    full = dict(begin)
+    for names in assembly.record_names:
+        full |= {long: begin.get(short, 0.0) for short, long in names.items()}
+    return full
 
 
 class _Builder:

@@ -110,7 +110,7 @@ class Predictor:
         UsageError
             For a negative exact delay.
         """
-        A, B, C, D, K, B_delayed, delay = self._matrices(theta)
+        A, B, C, D, K, B_delayed, delay = self.matrices(theta)
         n_p, n_y = len(self.free), self.n_outputs
         prompt, lead = list(self.prompt), self._lead
         acting = [B.columns(prompt)] if prompt else []
@@ -177,7 +177,7 @@ class Predictor:
         """Outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
         return outputs[self.horizon - 1 :]
 
-    def _matrices(self, theta: FloatArray) -> list[Dual]:
+    def matrices(self, theta: FloatArray) -> list[Dual]:
         """Continuous matrices with their derivatives."""
         n_p = len(self.free)
         flat, jacobian = self._function(theta)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,14 +25,26 @@ class FitResult:
     recordings : tuple of str
         Names of the recordings.
     parameters : dict of str to float
-        All parameters: estimated, fixed and unused.
+        All parameters: estimated, fixed and unused. One local to a group of recordings is there once for each
+        group, named ``name[group]``; `parameters_of` gives those of one recording under their own names.
     std : dict of str to float
-        Standard deviations; 0 for a fixed parameter, nan for one that has none: on a bound, not seen by the
-        focus, or not determined by the data (`notes` says which).
+        Standard deviations from `covariance`; 0 for a fixed parameter, nan for one that has none: on a bound,
+        not seen by the focus, or not determined by the data (`notes` says which).
     units : dict of str to str
     free : tuple of str
         The estimated parameters, in the order of `covariance`.
     covariance : (n_free, n_free) array
+        The one to trust: `covariance_white` or `covariance_robust`, as `trusted` says.
+    covariance_white, covariance_robust : (n_free, n_free) array
+        For white residuals, and for residuals of any colour.
+    trusted : {"white", "robust"}
+        Which the test of the residuals speaks for.
+    whiteness : (n_outputs,) array
+        Probability that white residuals would look less white (Ljung-Box); below 0.01 they count as coloured.
+    modes_std : (n_modes, 2) array
+        Standard deviations of ``model.modes()``: natural frequency [Hz] and damping factor.
+    static_gain_std : (n_outputs, n_inputs) array
+        Standard deviations of ``model.static_gain()``; nan for a model that integrates.
     initial_states : (n_recordings, n_states) array
     loss : float
         Mean squared error summed over outputs, or the determinant of the errors' mean square for criterion "det".
@@ -39,22 +52,30 @@ class FitResult:
         Mean square of the errors.
     fit_percent : (n_recordings, n_outputs) array
         ``100 (1 - |y - yhat| / |y - mean y|)`` for the predictions of the focus.
+    aic, fpe : float
+        Akaike's information criterion and final prediction error.
+    condition : float
+        Condition of the scaled information: how well the data tell the parameters apart.
     status : str
-        In words.
+        In words, with what to try next when it did not converge.
     success : bool
     iterations : int
     wall_time_s : float
         Of the whole fit, start values and covariance included.
     start : dict of str to float
         Where the parameters started.
+    start_origin : dict of str to str
+        Where each start came from: ``"data"``, ``"user"`` or ``"structure"``.
     notes : tuple of str
-        What a reader should know: bounds reached, parameters not determined.
+        What a reader should know: bounds reached, parameters not determined, which pass was run.
     options : dict of str to str
-        What was asked: focus, intersample, criterion, window, stop.
+        What was asked: focus, intersample, criterion, window, stop and so on.
     model : LinearModel
-        The structure at the estimates, in continuous time.
+        The structure at the estimates, in continuous time; with local parameters, those of the first recording.
     sample_time : float
         Time between samples [s].
+    local_names : dict of str to dict
+        For each recording, the full names of its local parameters by their own; empty without.
     """
 
     structure: str
@@ -64,16 +85,47 @@ class FitResult:
     units: Mapping[str, str]
     free: tuple[str, ...]
     covariance: FloatArray
+    covariance_white: FloatArray
+    covariance_robust: FloatArray
+    trusted: Literal["white", "robust"]
+    whiteness: FloatArray
+    modes_std: FloatArray
+    static_gain_std: FloatArray
     initial_states: FloatArray
     loss: float
     error_covariance: FloatArray
     fit_percent: FloatArray
+    aic: float
+    fpe: float
+    condition: float
     status: str
     success: bool
     iterations: int
     wall_time_s: float
     start: Mapping[str, float]
+    start_origin: Mapping[str, str]
     notes: tuple[str, ...]
     options: Mapping[str, str]
     model: LinearModel
     sample_time: float
+    local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+
+    def parameters_of(self, recording: str) -> dict[str, float]:
+        """Parameters as one recording has them, under the structure's names.
+
+        Raises
+        ------
+        KeyError
+            When the recording was not part of the fit.
+        """
+        if recording not in self.recordings:
+            raise KeyError(f"recording {recording!r} was not fitted; there are {', '.join(self.recordings)}")
+        shared = {name: value for name, value in self.parameters.items() if "[" not in name}
+        own = self.local_names.get(recording, {})
+        return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
+
+    def std_with(self, kind: Literal["white", "robust"]) -> dict[str, float]:
+        """Return standard deviations by one of the two covariances, whichever is trusted."""
+        chosen = self.covariance_white if kind == "white" else self.covariance_robust
+        sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))
+        return {name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()}

@@ -268,7 +268,7 @@ class Shooting:
         return _ROUNDING * self._power
 
     @property
-    def _prior_weight(self) -> float:
+    def likelihood_size(self) -> float:
         """The cost is the negative log-likelihood over this number."""
         n_y = len(self.output_weights)
         return self.n_samples * (n_y if self.criterion == "trace" else 1)
@@ -332,7 +332,7 @@ class Shooting:
             ]
             assert len(own) == len(local)
         away = theta - self.prior.mean
-        known = self.prior.information / self._prior_weight
+        known = self.prior.information / self.likelihood_size
         gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
         gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
         hessian_entries = np.concatenate([(hessian * np.outer(t, t))[self._theta_pairs], *arrow])

@@ -1,0 +1,259 @@
+"""From the solver's answer to estimates with their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import Dual
+from gbid.identify.assembly import Assembly
+from gbid.identify.covariance import Covariance, covariance
+from gbid.identify.data import FitData
+from gbid.identify.propagation import mode_slopes, spread, static_gain_slopes
+from gbid.identify.result import FitResult
+from gbid.identify.shooting import Shooting
+from gbid.identify.solver import Solution
+from gbid.identify.whiteness import whiteness_test
+from gbid.structure import LinearModel, Parameter, Structure, evaluate
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+_COLOURED = 0.01  # probability below which residuals do not count as white
+_OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
+
+
+def outcome(
+    structure: Structure,
+    parameters: tuple[Parameter, ...],
+    data: FitData,
+    assembly: Assembly,
+    problem: Shooting,
+    solution: Solution,
+    begin: Mapping[str, float],
+    origin: Mapping[str, str],
+    options: Mapping[str, str],
+    initial_known: bool,
+) -> FitResult:
+    """Evaluate a fit where its solver stopped.
+
+    Parameters
+    ----------
+    structure, parameters, data, assembly, problem
+        What was fitted.
+    solution : Solution
+        Where the solver stopped.
+    begin : dict of str to float
+        Start values by full name.
+    origin : dict of str to str
+        Where each start came from.
+    options : dict of str to str
+        What was asked, for the record.
+    initial_known : bool
+        Whether initial states were given.
+
+    Returns
+    -------
+    FitResult
+        Without its wall time.
+    """
+    free = assembly.free
+    theta, starts = problem.unpack(solution.unknowns)
+    values = problem.values(theta)
+    errors = problem.errors(values, starts)
+    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
+    success, status = solution.success, solution.status
+    if not (np.isfinite(products).all() and np.isfinite(theta).all()):
+        success, status = False, _OVERFLOW
+    by_record = _by_record(problem, errors, assembly)
+    on_bound = _on_bound(free, theta, problem.theta_scale)
+    found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
+    white = whiteness_test(by_record)
+    trusted: Literal["white", "robust"] = "white" if (white.p_value >= _COLOURED).all() else "robust"
+    chosen = found.white if trusted == "white" else found.robust
+
+    estimates = {**begin, **dict.fromkeys(assembly.unused, 0.0)}
+    estimates |= {q.name: float(v) for q, v in zip(free, theta, strict=True)}
+    locals_of = _local_names(data, assembly)
+    for name in {short for names in locals_of.values() for short in names}:
+        estimates.pop(name, None)
+    std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
+    mean_square = products / problem.n_samples
+    units = {q.name: q.unit for q in parameters}
+    first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
+    own = [q.name for q in structure.parameters]
+    model = evaluate(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
+    modes_std, gain_std = _propagated(problem, theta, chosen, model)
+    n, k = problem.n_samples, len(theta) + (0 if initial_known else starts[assembly.record_window].size)
+    log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
+    return FitResult(
+        structure=structure.name,
+        recordings=tuple(record.name for record in data.records),
+        parameters=estimates,
+        std=std,
+        units={name: units.get(name.partition("[")[0], _offset_unit(name, data)) for name in estimates},
+        free=tuple(q.name for q in free),
+        covariance=chosen,
+        covariance_white=found.white,
+        covariance_robust=found.robust,
+        trusted=trusted,
+        whiteness=white.p_value,
+        modes_std=modes_std,
+        static_gain_std=gain_std,
+        initial_states=starts[assembly.record_window],
+        loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
+        error_covariance=mean_square,
+        fit_percent=_fit_percent(data, by_record, int(options["horizon"])),
+        aic=n * log_det + 2 * k,
+        fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
+        condition=found.condition,
+        status=status,
+        success=success,
+        iterations=solution.iterations,
+        wall_time_s=0.0,
+        start={name: begin[name] for name in estimates},
+        start_origin={name: origin.get(name.partition("[")[0], "structure") for name in estimates},
+        notes=_notes(assembly, begin, free, on_bound, found, trusted),
+        options=options,
+        model=model,
+        sample_time=data.sample_time,
+        local_names=locals_of,
+    )
+
+
+def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) -> list[FloatArray]:
+    """Errors in the order of the records' samples, (n_samples, n_y) each, left-out samples zero."""
+    by_window: dict[int, FloatArray] = {}
+    for e, part, first in zip(errors, problem.parts, problem.first_window[:-1], strict=True):
+        for window, rows in zip(part.blocks.piece_first, part.blocks.by_piece(e), strict=True):
+            by_window[int(first + window)] = rows
+    following = {int(a): int(b) for a, b in problem.links}
+    records = []
+    for window in assembly.record_window:
+        rows, at = [], int(window)
+        while True:
+            if at in by_window:
+                rows.append(by_window[at])
+            if at not in following:
+                break
+            at = following[at]
+        records.append(np.concatenate(rows))
+    return records
+
+
+def _covariance(
+    problem: Shooting,
+    theta: FloatArray,
+    starts: FloatArray,
+    assembly: Assembly,
+    products: FloatArray,
+    errors: list[FloatArray],
+    on_bound: BoolArray,
+    initial_known: bool,
+) -> Covariance:
+    nothing = np.full((len(theta), len(theta)), np.nan)
+    none = Covariance(nothing, nothing, np.zeros((0, len(theta))), np.inf)
+    if not np.isfinite(products).all():
+        return none
+    try:
+        return covariance(
+            problem, theta, starts, assembly.record_window, products, errors, on_bound, initial_known=initial_known
+        )
+    except np.linalg.LinAlgError:
+        return none
+
+
+def _on_bound(free: tuple[Parameter, ...], theta: FloatArray, scale: FloatArray) -> BoolArray:
+    near = 1e-6 * scale
+    return np.array(
+        [v - q.lower <= s or q.upper - v <= s for q, v, s in zip(free, theta, near, strict=True)], dtype=bool
+    )
+
+
+def _local_names(data: FitData, assembly: Assembly) -> dict[str, dict[str, str]]:
+    return {
+        record.name: {short: full for short, full in names.items() if short != full}
+        for record, names in zip(data.records, assembly.record_names, strict=True)
+        if any(short != full for short, full in names.items())
+    }
+
+
+def _offset_unit(name: str, data: FitData) -> str:
+    channel = name.partition("[")[0].removeprefix("offset_")
+    return data.output_units[data.output_names.index(channel)] if channel in data.output_names else ""
+
+
+def _notes(
+    assembly: Assembly,
+    begin: Mapping[str, float],
+    free: tuple[Parameter, ...],
+    on_bound: BoolArray,
+    found: Covariance,
+    trusted: str,
+) -> tuple[str, ...]:
+    names = np.array([q.name for q in free])
+    notes = [f"{name} lies on a bound: no standard deviation" for name in names[on_bound]]
+    notes += [_undetermined(direction, names, np.array([begin[n] for n in names])) for direction in found.undetermined]
+    if trusted == "robust":
+        notes.append(
+            "the residuals are not white: standard deviations are the robust ones, and do not cover what the "
+            "structure leaves out"
+        )
+    if assembly.unused:
+        notes.append(f"not seen by simulation focus, set to 0: {', '.join(assembly.unused)}")
+        held = [name for name in assembly.unused if begin[name] != 0]
+        notes += [f"their start values were left aside: {', '.join(held)}"] if held else []
+    return (*notes, *assembly.notes)
+
+
+def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_], size: FloatArray) -> str:
+    """Say which parameters a direction without information holds, and what of them is determined."""
+    strong = np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
+    involved = ", ".join(names[strong])
+    if len(strong) == 1:
+        return f"the data do not determine {involved}: its input or state is not excited; hold it (fixed=...)"
+    return f"the data do not determine {involved} apart, only a combination of them; hold one (fixed=...)"
+
+
+def _standard_deviations(
+    estimates: Mapping[str, float],
+    parameters: tuple[Parameter, ...],
+    free: tuple[Parameter, ...],
+    chosen: FloatArray,
+    on_bound: BoolArray,
+    found: Covariance,
+) -> dict[str, float]:
+    fixed = {q.name for q in parameters if q.fixed}
+    std = {name: 0.0 if name in fixed else np.nan for name in estimates}
+    dark = (np.abs(found.undetermined) > 1e-3).any(axis=0)
+    for i, q in enumerate(free):
+        if not (on_bound[i] or dark[i]):
+            std[q.name] = float(np.sqrt(chosen[i, i]))
+    return std
+
+
+def _propagated(
+    problem: Shooting, theta: FloatArray, chosen: FloatArray, model: LinearModel
+) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations of modes and static gain of the first part's model."""
+    part = problem.parts[0]
+    A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
+    own = chosen[np.ix_(part.index, part.index)]
+    if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
+        return np.full((len(model.modes()), 2), np.nan), np.full(model.D.shape, np.nan)
+    _, slopes = mode_slopes(A)
+    gain_std = np.full(model.D.shape, np.nan)
+    if np.linalg.cond(A.value) < 1e15:
+        late = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+        gain_std = spread(static_gain_slopes(A, late, C, D)[1], own)
+    return spread(slopes, own), gain_std
+
+
+def _fit_percent(data: FitData, errors: list[FloatArray], horizon: int) -> FloatArray:
+    rows = []
+    for record, e in zip(data.records, errors, strict=True):
+        y = record.outputs[horizon - 1 :]
+        rows.append(100 * (1 - np.linalg.norm(e, axis=0) / np.linalg.norm(y - y.mean(0), axis=0)))
+    return np.array(rows)
