@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
@@ -16,7 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("PYTHONPATH", str(HERE.parent))
 os.environ["NO_COLOR"] = "1"
-os.environ["COLUMNS"] = "100"
+os.environ["COLUMNS"] = "120"
 os.environ["JUPYTER_PREFER_ENV_PATH"] = "1"  # the kernel of this environment, not one installed elsewhere
 os.environ["JUPYTER_PLATFORM_DIRS"] = "1"
 os.environ["PYDEVD_DISABLE_FILE_VALIDATION"] = "1"  # the debugger that comes with the kernel is not used
@@ -51,3 +52,13 @@ html_theme = "furo"
 html_title = f"gbid {version}"
 html_copy_source = False
 html_show_sphinx = False
+
+
+def executed_pages(_app: Any, env: Any, *_changes: set[str]) -> list[str]:
+    """Pages with code cells are built each time: what they show depends on the code, not on their text alone."""
+    return [name for name in env.found_docs if "{code-cell}" in Path(env.doc2path(name)).read_text(encoding="utf-8")]
+
+
+def setup(app: Any) -> None:
+    """Connect to the build."""
+    app.connect("env-get-outdated", executed_pages)

@@ -10,7 +10,10 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
+import h5py
+import numpy as np
 import pytest
 
 import gbid
@@ -56,7 +59,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
     blocks = [body for info, body in fences(ROOT / "README.md") if info == "python"]
     assert len(blocks) == 1
     text = (ROOT / "experiments" / "quickstart.yaml").read_text(encoding="utf-8")
-    shorter = text.replace("duration_s: 5.0", "duration_s: 1.0")
+    shorter = text.replace("duration_s: 5.0", "duration_s: 1.5")
     assert shorter != text
     experiment = tmp_path / "experiments" / "quickstart.yaml"
     experiment.parent.mkdir()
@@ -113,6 +116,29 @@ def test_every_page_is_in_a_toctree() -> None:
                 entries = [line.strip() for line in body.splitlines() if line.strip() and not line.startswith(":")]
                 listed |= {(path.parent / f"{entry}.md").resolve() for entry in entries}
     assert listed == set(PAGES)
+
+
+def test_tree_of_fit_results_names_what_is_written(tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    u = random.standard_normal((200, 1))
+    lag = gbid.LinearStructure(
+        "lag", [gbid.Parameter("a", 1.0, 0.1, 10.0), gbid.Parameter("k", 0.1)], _lag, inputs="u", outputs="y"
+    )
+    y = 0.1 * random.standard_normal((200, 1)) + np.cumsum(u, axis=0) * 0.01
+    gbid.save_fit(gbid.fit(lag, gbid.Recording({"u": u, "y": y}, 0.1)), tmp_path / "fit.h5")
+    section = (DOCS / "file-formats.md").read_text(encoding="utf-8").split("## Fit results")[1].split("\n## ")[0]
+    written: dict[str, set[str]] = {"/": set(), "parameters": set(), "model": set()}
+    with h5py.File(tmp_path / "fit.h5") as file:
+        common = {"gbid_kind", "schema_version", "creator", "created"}
+        for place in written:
+            written[place] = set(file[place]) | set(file[place].attrs) - common
+    names = set.union(*written.values())
+    assert {"K", "covariance", "notes"} <= names
+    assert not [name for name in names if not re.search(rf"(^|[ ,│├└─]){name}[ ,/:]", section, re.MULTILINE)]
+
+
+def _lag(p: Any) -> dict[str, Any]:
+    return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]]}
 
 
 def cells(path: Path) -> list[str]:

@@ -13,6 +13,7 @@ from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBe
 
 GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
 ROTOR_AT = {**KEY, **GAINS}
+PIEZO_AT = {**ACTUATORS, "bd1_x": 9.0, "bd2_x": 8.0, "bd1_y": 7.0, "bd2_y": 6.0}
 
 
 def predictor_of(structure, values, h=H, hold="zoh", focus="prediction", fixed=None):
@@ -86,11 +87,11 @@ def test_a_model_that_fits_predicts_its_own_simulation_whatever_the_gain():
         (MODE, {**MODE_AT, "l1": 0.4, "l2": -0.2}, H, "zoh", "prediction"),
         (RotorBearing(), ROTOR_AT, TS, "foh", "prediction"),
         (RotorBearing(pade_order=3), ROTOR_AT, TS, "zoh", "prediction"),
-        (PiezoPair(disturbance_gain="full"), {**ACTUATORS, "bd1_x": 9.0, "bd2_x": 8.0, "bd1_y": 7.0, "bd2_y": 6.0}, TS, "zoh", "prediction"),
+        (PiezoPair(disturbance_gain="full"), PIEZO_AT, TS, "zoh", "prediction"),
         (Plant(RotorBearing(pade_order=2)), {**ROTOR_AT, **ACTUATORS}, TS, "zoh", "prediction"),
     ],
     ids=["every-mixed", "every-simulation", "mode", "rotor", "rotor-pade-3", "piezo", "plant"],
-)  # fmt: skip
+)
 def test_derivatives_are_those_of_central_differences(structure, values, h, hold, focus):
     predictor = predictor_of(structure, values, h, hold, focus)
     theta = theta_of(predictor, values)

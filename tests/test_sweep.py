@@ -24,10 +24,13 @@ SIZES = {
 }
 
 
-def case(lengths, window, hold=("zoh", "foh"), focus="prediction"):
+SLOW = {**EVERY_AT, "a": 0.01}  # in simulation focus its states are still alive after a thousand samples
+
+
+def case(lengths, window, focus="prediction", values=EVERY_AT):
     """Predictor, its values, blocks, and some window starts that meet nothing."""
-    predictor = build_predictor(EVERY, {}, H, hold, focus, [EVERY_AT])
-    theta = np.array([EVERY_AT[q.name] for q in predictor.free])
+    predictor = build_predictor(EVERY, {}, H, ("zoh", "foh"), focus, [values])
+    theta = np.array([values[q.name] for q in predictor.free])
     data = fit_data([(smooth(n, seed=i), smooth(n, seed=50 + i)) for i, n in enumerate(lengths)])
     blocks = cut(data, predictor, window)
     starts = np.random.default_rng(9).normal(size=(blocks.n_windows, 2))
@@ -92,8 +95,9 @@ def by_hand(c, weight):
 
 @pytest.mark.parametrize("weight", [np.eye(2), WEIGHT], ids=["unit", "full weight"])
 @pytest.mark.parametrize("size", SIZES)
-def test_the_pass_is_what_the_plain_loop_gives(size, weight):
-    c = case(*SIZES[size])
+@pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
+def test_the_pass_is_what_the_plain_loop_gives(size, weight, focus, values):
+    c = case(*SIZES[size], focus, values)
     found = sweep(c.predictor.at(c.theta), c.blocks, c.starts, weight)
     expected = by_hand(c, weight)
     assert c.blocks.n_windows == len(expected.end)
@@ -121,7 +125,7 @@ def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
 @pytest.mark.parametrize("size", ["three records, three lengths", "windows of several blocks"])
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_gradient_and_sensitivities_are_those_of_finite_differences(size, focus):
-    c = case(*SIZES[size], focus=focus)
+    c = case(*SIZES[size], focus)
 
     def run(theta, starts):
         s = sweep(c.predictor.at(theta), c.blocks, starts, WEIGHT)
@@ -163,11 +167,12 @@ def test_the_gauss_newton_hessian_is_exact_where_the_model_is_linear_in_its_unkn
 
 
 @pytest.mark.parametrize("window", [10, 33, 600])
-def test_linked_windows_are_single_shooting(window):
+@pytest.mark.parametrize(("focus", "values"), [("prediction", EVERY_AT), ("simulation", SLOW)], ids=["fast", "slow"])
+def test_linked_windows_are_single_shooting(window, focus, values):
     """With closed gaps, cost and total derivatives do not know the windows."""
-    single = case((1300,), None)
+    single = case((1300,), None, focus, values)
     v = single.predictor.at(single.theta)
-    many = case((1300,), window)
+    many = case((1300,), window, focus, values)
     # States along the one long window are the starts of the short ones.
     size = many.blocks.length * many.blocks.per_window
     z = single.predictor.regressors(single.data.records[0].inputs, single.data.records[0].outputs)

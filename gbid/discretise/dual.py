@@ -54,10 +54,10 @@ class Dual:
         return Dual(-self.value, -self.slope)
 
     def __sub__(self, other: Any) -> Dual:
-        return self + (-other)
+        return self.__add__(-other)
 
     def __rsub__(self, other: Any) -> Dual:
-        return -self + other
+        return self.__neg__().__add__(other)
 
     def __mul__(self, factor: Any) -> Dual:
         """Multiply by a number, or by a dual of shape (1, 1) or of a row (1, m) that scales columns."""
@@ -71,7 +71,7 @@ class Dual:
         return Dual(self.value / number, self.slope / number)
 
     def columns(self, index: Any) -> Dual:
-        """Some columns, as an array indexed by ``[:, index]``."""
+        """Take some columns, as an array indexed by ``[:, index]``."""
         return Dual(self.value[:, index], self.slope[:, :, index])
 
 

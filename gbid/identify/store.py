@@ -9,6 +9,7 @@ import h5py
 import numpy as np
 
 from gbid import hdf5
+from gbid.errors import DataError
 from gbid.identify.result import FitResult
 from gbid.structure import LinearModel
 
@@ -79,35 +80,46 @@ def load_fit(path: str | Path) -> FitResult:
         When the file is missing, damaged, incomplete or of another kind.
     """
     with hdf5.reading(path, KIND) as file:
-        parameters = file["parameters"]
-        names = _texts(parameters, "names")
-        numbers = {
-            column: dict(zip(names, hdf5.read_dataset(parameters, column).tolist(), strict=True))
-            for column in ("estimate", "std", "start")
-        }
-        attribute = hdf5.read_attribute
-        return FitResult(
-            structure=str(attribute(file, "structure")),
-            recordings=_texts(file, "recordings"),
-            parameters=numbers["estimate"],
-            std=numbers["std"],
-            units=dict(zip(names, _texts(parameters, "units"), strict=True)),
-            free=_texts(parameters, "free"),
-            covariance=hdf5.read_dataset(parameters, "covariance"),
-            initial_states=hdf5.read_dataset(file, "initial_states"),
-            loss=float(hdf5.read_dataset(file, "loss")),
-            error_covariance=hdf5.read_dataset(file, "error_covariance"),
-            fit_percent=hdf5.read_dataset(file, "fit_percent"),
-            status=str(attribute(file, "status")),
-            success=bool(attribute(file, "success")),
-            iterations=int(attribute(file, "iterations")),
-            wall_time_s=float(hdf5.read_dataset(file, "wall_time_s")),
-            start=numbers["start"],
-            notes=_texts(file, "notes"),
-            options=json.loads(str(attribute(file, "options"))),
-            model=_read_model(file["model"]),
-            sample_time=float(hdf5.read_dataset(file, "sample_time")),
-        )
+        try:
+            return _read_result(file)
+        except DataError:
+            raise
+        except (TypeError, ValueError) as error:
+            raise DataError(
+                f"{path}: damaged fit file, its entries do not fit together ({error}); make the fit anew"
+            ) from None
+
+
+def _read_result(file: h5py.File) -> FitResult:
+    parameters = file["parameters"]
+    names = _texts(parameters, "names")
+    numbers = {
+        column: dict(zip(names, hdf5.read_dataset(parameters, column).tolist(), strict=True))
+        for column in ("estimate", "std", "start")
+    }
+    attribute = hdf5.read_attribute
+    return FitResult(
+        structure=str(attribute(file, "structure")),
+        recordings=_texts(file, "recordings"),
+        parameters=numbers["estimate"],
+        std=numbers["std"],
+        units=dict(zip(names, _texts(parameters, "units"), strict=True)),
+        free=_texts(parameters, "free"),
+        covariance=hdf5.read_dataset(parameters, "covariance"),
+        initial_states=hdf5.read_dataset(file, "initial_states"),
+        loss=float(hdf5.read_dataset(file, "loss")),
+        error_covariance=hdf5.read_dataset(file, "error_covariance"),
+        fit_percent=hdf5.read_dataset(file, "fit_percent"),
+        status=str(attribute(file, "status")),
+        success=bool(attribute(file, "success")),
+        iterations=int(attribute(file, "iterations")),
+        wall_time_s=float(hdf5.read_dataset(file, "wall_time_s")),
+        start=numbers["start"],
+        notes=_texts(file, "notes"),
+        options=json.loads(str(attribute(file, "options"))),
+        model=_read_model(file["model"]),
+        sample_time=float(hdf5.read_dataset(file, "sample_time")),
+    )
 
 
 def _write_parameters(group: h5py.Group, result: FitResult) -> None:

@@ -185,9 +185,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
         foreign = [symbol.name() for symbol in ca.Function("m", [p], [sx[letter]], {"allow_free": True}).free_sx()]
         if foreign:
-            raise UsageError(
-                f"{where}: {letter} contains symbols that are no parameters: {', '.join(foreign)}"
-            )
+            raise UsageError(f"{where}: {letter} contains symbols that are no parameters: {', '.join(foreign)}")
     return p, Matrices(**sx)
 
 

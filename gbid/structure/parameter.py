@@ -85,6 +85,4 @@ def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], wha
     names = [parameter.name for parameter in parameters]
     unknown = [name for name in given if name not in names]
     if unknown:
-        raise UsageError(
-            f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}"
-        )
+        raise UsageError(f"{what} names unknown parameters: {', '.join(unknown)}; there are {', '.join(names)}")

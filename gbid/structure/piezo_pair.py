@@ -35,18 +35,14 @@ class PiezoPair:
 
     def __post_init__(self) -> None:
         if self.disturbance_gain not in ("none", "full"):
-            raise UsageError(
-                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'none' or 'full'"
-            )
+            raise UsageError(f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'none' or 'full'")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Slow pole p1, fast pole p2 and gain kappa of each axis."""
         parameters = []
         for axis in AXES:
-            parameters += [
-                Parameter(f"{pole}_{axis}", lower=1.0, upper=1e6, unit="rad/s") for pole in ("p1", "p2")
-            ]
+            parameters += [Parameter(f"{pole}_{axis}", lower=1.0, upper=1e6, unit="rad/s") for pole in ("p1", "p2")]
             parameters.append(Parameter(f"kappa_{axis}", unit="m/m"))
         if self.disturbance_gain == "full":
             parameters += [Parameter(f"bd{i}_{axis}", 0.0, unit="1/s") for axis in AXES for i in (1, 2)]

@@ -66,9 +66,7 @@ class RotorBearing:
     @property
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gain bd."""
-        coefficients = [
-            Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS
-        ]
+        coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
         # A delay at or below zero has an unstable Pade pole or none; a microsecond is far below a sample.
         delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
         gains = [Parameter(name, 0.0, -inf, inf, unit="1/s^2") for name in self._gain_names()]

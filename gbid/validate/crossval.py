@@ -88,10 +88,19 @@ def cross_validate(result: FitResult, recording: Recording) -> Validation:
     y, output_names, output_units = select(recording, outputs)
     hold = result.options["intersample"].split()
     model = result.model
-    state = estimate_initial_state(model, u, y, recording.sample_time, hold[0] if len(hold) == 1 else hold)
-    simulated = model.simulate(
-        u, recording.sample_time, initial_state=state, intersample=hold[0] if len(hold) == 1 else hold
-    )
+    between = hold[0] if len(hold) == 1 else hold
+    if (len(input_names), len(output_names)) != (len(model.input_names), len(model.output_names)):
+        raise DataError(
+            f"recording {recording.name!r} gives the inputs {', '.join(input_names)} and the outputs "
+            f"{', '.join(output_names)}; the model has {', '.join(model.input_names)} and "
+            f"{', '.join(model.output_names)}"
+        )
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            state = estimate_initial_state(model, u, y, recording.sample_time, between)
+            simulated = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
+        except np.linalg.LinAlgError:  # the free responses overflow
+            simulated = np.full_like(y, np.inf)
     if not np.isfinite(simulated).all():
         raise DataError(f"the model of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     return Validation(

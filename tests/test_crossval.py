@@ -1,0 +1,169 @@
+"""Fit percent, initial states and cross-validation against known answers."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_motion, simulated, smooth
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gbid.errors import DataError
+from gbid.identify import fit
+from gbid.recording import Recording
+from gbid.structure import RotorBearing, evaluate
+from gbid.validate import cross_validate, estimate_initial_state, fit_percent
+
+
+@pytest.fixture(scope="module")
+def model():
+    """A fit whose parameters are the truth."""
+    return fit(MODE, simulated(MODE, MODE_AT, levels(400), name="first"), focus="simulation")
+
+
+# ---- fit percent ----
+
+
+def test_fit_percent_of_known_signals():
+    y = np.array([[1.0, 10.0], [2.0, 20.0], [3.0, 30.0], [4.0, 40.0]])
+    np.testing.assert_array_equal(fit_percent(y, y), [100, 100])
+    np.testing.assert_allclose(fit_percent(y, np.tile(y.mean(0), (4, 1))), [0, 0], atol=1e-12)
+    # An error of half the deviations leaves half.
+    np.testing.assert_allclose(fit_percent(y, y.mean(0) + 0.5 * (y - y.mean(0))), [50, 50], rtol=1e-12)
+    np.testing.assert_allclose(fit_percent(y, y.mean(0) - (y - y.mean(0))), [-100, -100], rtol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(seed=st.integers(0, 2**31), scale=st.floats(1e-6, 1e6), offset=st.floats(-10, 10))
+def test_fit_percent_does_not_know_units_and_offsets(seed, scale, offset):
+    y, yhat = np.random.default_rng(seed).normal(size=(2, 30, 2))
+    np.testing.assert_allclose(
+        fit_percent(scale * (y + offset), scale * (yhat + offset)), fit_percent(y, yhat), rtol=1e-8
+    )
+
+
+# ---- initial states ----
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh", ["zoh", "foh"]])
+def test_the_initial_state_of_an_exact_recording_is_found(hold):
+    x0 = np.array([3.0, -1.5])
+    every = evaluate(EVERY, EVERY_AT)
+    u = smooth(100)
+    y = every.simulate(u, H, initial_state=x0, intersample=hold)
+    np.testing.assert_allclose(estimate_initial_state(every, u, y, H, hold), x0, rtol=1e-9)
+
+
+def test_the_initial_state_in_micrometres():
+    values = {**KEY, **dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), 0.0)}
+    bearing = evaluate(RotorBearing(), values)
+    x0 = np.array([1e-6, -2e-6, 4e-4, 1e-3, 3e-10, -1e-10])
+    u = piezo_motion(800)
+    y = bearing.simulate(u, TS, initial_state=x0, intersample="foh")
+    found = estimate_initial_state(bearing, u, y, TS, "foh")
+    np.testing.assert_allclose(found, x0, rtol=1e-6)
+
+
+def test_the_initial_state_is_that_of_least_squares():
+    every = evaluate(EVERY, EVERY_AT)
+    u, y = smooth(60), smooth(60, seed=9)
+    found = estimate_initial_state(every, u, y, H)
+
+    def cost(x):
+        return np.sum((y - every.simulate(u, H, initial_state=x)) ** 2)
+
+    for direction in ([1e-3, 0], [0, 1e-3], [-1e-3, 1e-3]):
+        assert cost(found) < cost(found + direction)
+        assert cost(found) < cost(found - direction)
+
+
+def test_a_state_that_no_output_sees_is_left_at_zero():
+    every = evaluate(EVERY, EVERY_AT)
+    blind = replace(every, A=np.diag([-1.0, -2.0]), C=np.array([[1.0, 0.0], [2.0, 0.0]]), K=None)
+    u = smooth(50)
+    y = blind.simulate(u, H, initial_state=[2.0, 7.0])
+    np.testing.assert_allclose(estimate_initial_state(blind, u, y, H), [2.0, 0.0], atol=1e-9)
+
+
+# ---- cross-validation ----
+
+
+def test_the_truth_explains_all_of_another_recording(model):
+    x0 = [2.0, -4.0]
+    rec = simulated(MODE, MODE_AT, levels(300, seed=7), x0=x0, name="second")
+    found = cross_validate(model, Recording(rec.signals, H, {"speed_rpm": 60.0}, "second", units={"u": "V", "y": "m"}))
+    assert found.fit_percent == pytest.approx([100.0], abs=1e-3)
+    assert found.infinity_norm == pytest.approx([0.0], abs=1e-4)
+    np.testing.assert_allclose(found.initial_state, x0, rtol=1e-4)
+    np.testing.assert_array_equal(found.measured, rec.signal("y"))
+    np.testing.assert_allclose(found.simulated, rec.signal("y"), atol=1e-4)
+    np.testing.assert_array_equal(found.inputs, rec.signal("u"))
+    np.testing.assert_allclose(found.time, H * np.arange(300))
+    assert (found.recording, found.fitted_to) == ("second", ("first",))
+    assert (found.input_names, found.output_names) == (("u",), ("y",))
+    assert (found.input_units, found.output_units) == (("V",), ("m",))
+    assert found.conditions == {"speed_rpm": 60.0}
+
+
+def test_noise_leaves_its_own_part(model):
+    clean = simulated(MODE, MODE_AT, levels(3000, seed=7)).signal("y")
+    noise = clean.std() * np.random.default_rng(1).normal(size=clean.shape)
+    rec = Recording({"u": levels(3000, seed=7), "y": clean + noise}, H)
+    found = cross_validate(model, rec)
+    assert found.fit_percent[0] == pytest.approx(100 * (1 - np.sqrt(0.5)), abs=2)
+    assert found.infinity_norm[0] == pytest.approx(np.abs(noise).max(), rel=0.1)
+
+
+def test_outputs_are_used_for_the_initial_state_alone(model):
+    """A wrong output does not bend the simulation beyond its start."""
+    rec = simulated(MODE, MODE_AT, levels(300, seed=7))
+    bent = rec.with_signals(y=rec.signal("y") + 5 * smooth(300, 1, seed=2))
+    straight, found = cross_validate(model, rec), cross_validate(model, bent)
+    free = found.simulated - straight.simulated
+    shift = found.initial_state - straight.initial_state
+    expected = model.model.simulate(np.zeros((300, 1)), H, initial_state=shift)
+    np.testing.assert_allclose(free, expected, atol=1e-8 * np.abs(found.simulated).max())
+
+
+def test_the_hold_and_the_channels_of_the_fit_are_kept():
+    u = smooth(400)
+    rec = simulated(EVERY, EVERY_AT, u, hold=("zoh", "foh"), name="a")
+    result = fit(EVERY, rec, start=EVERY_AT, intersample=("zoh", "foh"), focus="simulation")
+    other = simulated(EVERY, EVERY_AT, smooth(300, seed=5), hold=("zoh", "foh"), x0=[1.0, 2.0], name="b")
+    assert cross_validate(result, other).fit_percent == pytest.approx([100, 100], abs=1e-5)
+    held = simulated(EVERY, EVERY_AT, smooth(300, seed=5), hold="zoh", x0=[1.0, 2.0], name="b")
+    assert (cross_validate(result, held).fit_percent < 99.9).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda r: Recording(r.signals, 0.05, name="b"), "'b' has sample time 0.05 s; the model was fitted at 0.1 s"),
+        (lambda r: Recording({"u": r.signal("u")}, H, name="b"), "'b' has no signal 'y'; it has u"),
+        (lambda r: Recording({"y": r.signal("y")}, H, name="b"), "'b' has no signal 'u'; it has y"),
+    ],
+)
+def test_recordings_that_do_not_fit_the_model_are_refused(model, change, text):
+    with pytest.raises(DataError, match=text) as caught:
+        cross_validate(model, change(simulated(MODE, MODE_AT, levels(200, seed=7))))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("widths", "text"),
+    [
+        ((2, 1), "'wide' gives the inputs u_x, u_y and the outputs y; the model has u and y"),
+        ((1, 2), "the outputs y_1, y_2"),
+    ],
+)
+def test_another_number_of_channels_is_refused(model, widths, text):
+    signals = {name: levels(200, width) for name, width in zip("uy", widths, strict=True)}
+    with pytest.raises(DataError, match=text):
+        cross_validate(model, Recording(signals, H, name="wide"))
+
+
+def test_a_model_that_overflows_is_refused(model):
+    unstable = replace(model, model=replace(model.model, A=np.array([[50.0, 1.0], [0.0, 60.0]]), K=None))
+    rec = simulated(MODE, MODE_AT, levels(2000, seed=7), name="long")
+    with pytest.raises(DataError, match="the model of first overflows on recording 'long'"):
+        cross_validate(unstable, rec)

@@ -1,0 +1,149 @@
+"""Fit results in HDF5: round trip and damaged files."""
+
+import h5py
+import numpy as np
+import pytest
+from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simulated
+
+from gbid.errors import DataError, UsageError
+from gbid.identify import fit, load_fit, save_fit
+from gbid.recording import save_recording
+
+
+@pytest.fixture(scope="module")
+def data():
+    return [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"arm é {i}") for i in range(2)]
+
+
+@pytest.fixture(scope="module")
+def result(data):
+    return fit(MODE, data, focus="simulation", bounds={"w": (5.5, 8.0)}, fixed={"g": 2.0})
+
+
+def assert_same(a, b):
+    for name in ("structure", "recordings", "free", "loss", "status", "success", "iterations", "wall_time_s", "notes"):
+        assert getattr(a, name) == getattr(b, name), name
+        assert type(getattr(a, name)) is type(getattr(b, name)), name
+    assert a.sample_time == b.sample_time
+    for name in ("parameters", "std", "units", "start", "options"):
+        one, two = getattr(a, name), getattr(b, name)
+        assert list(one) == list(two), name
+        for key in one:  # also nan
+            assert one[key] == two[key] or (np.isnan(one[key]) and np.isnan(two[key])), key
+    for name in ("covariance", "initial_states", "error_covariance", "fit_percent"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+        assert getattr(a, name).shape == getattr(b, name).shape
+    for letter in "ABCDK":
+        one, two = getattr(a.model, letter), getattr(b.model, letter)
+        assert (one is None) is (two is None)
+        if one is not None:
+            assert one.tobytes() == two.tobytes()
+    for name in ("dt", "input_names", "output_names", "state_names", "name"):
+        assert getattr(a.model, name) == getattr(b.model, name)
+
+
+def test_round_trip(result, tmp_path):
+    assert np.isnan(result.std["w"])  # on its bound: the file must carry that
+    assert result.notes
+    path = tmp_path / "new" / "fit.h5"
+    save_fit(result, path)
+    assert_same(load_fit(path), result)
+    assert_same(load_fit(str(path)), result)
+
+
+def test_round_trip_with_a_disturbance_gain_and_no_notes(tmp_path):
+    rec = innovations(EVERY, EVERY_AT, levels(400, 2, hold=3), noise=[0.2, 0.1])
+    with_gain = fit(EVERY, rec, start=EVERY_AT, intersample=("zoh", "foh"))
+    assert with_gain.model.K is not None
+    assert with_gain.notes == ()
+    save_fit(with_gain, tmp_path / "a.h5")
+    assert_same(load_fit(tmp_path / "a.h5"), with_gain)
+
+
+def test_a_fit_that_did_not_converge_is_kept_as_such(data, tmp_path):
+    bad = fit(MODE, data, max_iterations=1, start={"w": 8.0})
+    save_fit(bad, tmp_path / "bad.h5")
+    found = load_fit(tmp_path / "bad.h5")
+    assert found.success is False
+    assert_same(found, bad)
+
+
+def test_every_dataset_has_unit_and_name_and_the_key_is_kept(result, tmp_path):
+    save_fit(result, tmp_path / "fit.h5", key="abc")
+    with h5py.File(tmp_path / "fit.h5") as file:
+        assert file.attrs["key"] == "abc"
+        names = []
+
+        def visit(name, item):
+            if isinstance(item, h5py.Dataset):
+                names.append(name)
+                assert "units" in item.attrs, name
+                assert item.attrs["long_name"], name
+
+        file.visititems(visit)
+        assert {"loss", "parameters/estimate", "parameters/std", "parameters/covariance", "model/A"} <= set(names)
+        assert list(file["parameters"].attrs["units"]) == list(result.units.values())
+
+
+def test_nothing_is_overwritten_unless_asked(result, tmp_path):
+    path = tmp_path / "fit.h5"
+    path.write_text("mine")
+    with pytest.raises(UsageError, match=r"fit\.h5 exists already"):
+        save_fit(result, path)
+    assert path.read_text() == "mine"
+    save_fit(result, path, overwrite=True)
+    assert_same(load_fit(path), result)
+    assert [p.name for p in tmp_path.iterdir()] == ["fit.h5"]
+
+
+TORN = "entries do not fit together"
+
+
+def put(group, name, values):
+    del group[name]
+    group[name] = values
+
+
+DAMAGE = {
+    "no covariance": (lambda f: f["parameters"].__delitem__("covariance"), "parameters/covariance is missing"),
+    "no loss": (lambda f: f.__delitem__("loss"), "loss is missing"),
+    "no parameters": (lambda f: f.__delitem__("parameters"), "incomplete fit file|parameters"),
+    "no model": (lambda f: f.__delitem__("model"), "incomplete fit file|model"),
+    "no status": (lambda f: f.attrs.__delitem__("status"), "no attribute 'status'"),
+    "no names": (lambda f: f["parameters"].attrs.__delitem__("names"), "no attribute 'names'"),
+    "text for numbers": (lambda f: put(f, "loss", "much"), "holds object, not numbers"),
+    "newer schema": (lambda f: f.attrs.__setitem__("schema_version", 99), "schema_version 99"),
+    "options are no JSON": (lambda f: f.attrs.__setitem__("options", "{"), TORN),
+    "a name too few": (lambda f: f["parameters"].attrs.__setitem__("names", ["w", "z"]), TORN),
+    "matrices of wrong shape": (lambda f: put(f["model"], "A", np.eye(3)), TORN + r" \(model 'mode': B has shape"),
+    "loss of wrong shape": (lambda f: put(f, "loss", [1.0, 2.0]), TORN),
+}
+
+
+@pytest.mark.parametrize("what", DAMAGE)
+def test_damaged_files_are_refused_in_one_line(result, tmp_path, what):
+    path = tmp_path / "fit.h5"
+    save_fit(result, path)
+    damage, text = DAMAGE[what]
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    with pytest.raises(DataError, match=text) as caught:
+        load_fit(path)
+    assert "fit.h5" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_other_files_are_refused(result, data, tmp_path):
+    with pytest.raises(DataError, match="no such file"):
+        load_fit(tmp_path / "none.h5")
+    save_recording(data[0], tmp_path / "rec.h5")
+    with pytest.raises(DataError, match="expected a gbid fit file, found recording"):
+        load_fit(tmp_path / "rec.h5")
+    (tmp_path / "text.h5").write_text("no HDF5")
+    with pytest.raises(DataError, match="not a readable HDF5 file"):
+        load_fit(tmp_path / "text.h5")
+    save_fit(result, tmp_path / "fit.h5")
+    whole = (tmp_path / "fit.h5").read_bytes()
+    (tmp_path / "cut.h5").write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DataError, match=r"cut\.h5"):
+        load_fit(tmp_path / "cut.h5")
