@@ -19,6 +19,7 @@ FloatArray = npt.NDArray[np.float64]
 Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
+_STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
 _WORDS = {
@@ -49,12 +50,15 @@ class Progress:
         Largest gap between windows, in units of the states' size.
     step : float
         Relative change of the scaled parameters since the last iteration.
+    sigma : float
+        The last step of all unknowns in standard deviations of the estimate.
     """
 
     iteration: int
     cost: float
     gap: float
     step: float
+    sigma: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +102,8 @@ def solve(
     start, lower, upper : (n_unknowns,) array
         Start and bounds, scaled.
     stop : {"tolerance", "paper"}
-        IPOPT's own test, or the paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
+        IPOPT's own test or a step far below the estimates' standard deviations, whichever is met first; or the
+        paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
     tolerance : float
         IPOPT's tolerance on the scaled optimality conditions.
     max_iterations : int
@@ -184,6 +189,8 @@ def solve(
     status = str(stats["return_status"])
     if watch.settled and status == "User_Requested_Stop":
         words, success = f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+    elif watch.at_rest and status == "User_Requested_Stop":
+        words, success = "converged", True
     elif watch.exact and status == "User_Requested_Stop":
         words, success = "converged: the errors are at rounding", True
     else:
@@ -254,7 +261,9 @@ class _Watch(ca.Callback):
         self.interrupted = False
         self.settled = False
         self.exact = False
+        self.at_rest = False
         self._previous: FloatArray | None = None
+        self._sigma = np.inf
         self.construct("watch", {})
 
     def get_n_in(self) -> int:
@@ -271,19 +280,32 @@ class _Watch(ca.Callback):
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
         values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
-        theta = np.asarray(values["x"], float).ravel()[: self._problem.n_theta]
+        x = np.asarray(values["x"], float).ravel()
         gaps = np.asarray(values["g"], float)
-        step = np.inf
+        step = sigma = np.inf
         if self._previous is not None:
-            step = float(np.linalg.norm(theta - self._previous)) / max(float(np.linalg.norm(theta)), 1e-300)
-        self._previous = theta
-        now = Progress(len(self.history), float(values["f"]), float(np.abs(gaps).max(initial=0.0)), step)
+            moved, n_theta = x - self._previous, self._problem.n_theta
+            step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
+            sigma = self._in_standard_deviations(x, moved)
+        gap = float(np.abs(gaps).max(initial=0.0))
+        now = Progress(len(self.history), float(values["f"]), gap, step, sigma)
         self.history.append(now)
         if self._progress is not None:
             self._progress(now)
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
-        return [int(self.interrupted or self.settled or self.exact)]
+        # Twice running: a step may be small by chance, where the solver has just cut it.
+        small = self._stop == "tolerance" and max(sigma, self._sigma) < _STEP_TOLERANCE and now.gap < _GAP_TOLERANCE
+        self.at_rest = small
+        self._previous, self._sigma = x, sigma
+        return [int(self.interrupted or self.settled or self.exact or self.at_rest)]
+
+    def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
+        """Length of a step in the metric of the information at its end."""
+        pattern, entries = self._problem.hessian_pattern, self._problem.at(x).hessian
+        twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
+        square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
+        return float(np.sqrt(max(square, 0.0) * self._problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
 @contextmanager

@@ -174,11 +174,11 @@ def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_
 
     bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
     longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
-    grid = np.linspace(0.0, longest, 9)
+    grid = np.linspace(0.0, longest, 7)
     best = min(((misfit(np.array([a, b])), a, b) for a in grid for b in grid), key=lambda item: item[0])
     step = grid[1] / 2
     simplex = np.array([best[1:], (best[1] + step, best[2]), (best[1], best[2] + step)])
-    options = {"initial_simplex": simplex, "xatol": 1e-7, "fatol": 0.0, "maxiter": 200}
+    options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
     tau = minimize(misfit, best[1:], method="Nelder-Mead", options=options).x
     tau = np.array(
         [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]

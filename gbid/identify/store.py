@@ -45,6 +45,8 @@ def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: 
             "success": result.success,
             "iterations": result.iterations,
             "options": json.dumps(dict(result.options)),
+            "trusted": result.trusted,
+            "local_names": json.dumps({name: dict(own) for name, own in result.local_names.items()}),
         }
         file.attrs.update(attributes)
         for name, texts in (("recordings", result.recordings), ("notes", result.notes)):
@@ -56,6 +58,12 @@ def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: 
             ("fit_percent", result.fit_percent, "%", "fit, recordings by outputs"),
             ("error_covariance", result.error_covariance, "", "mean square of the errors"),
             ("initial_states", result.initial_states, "", "initial state of each recording"),
+            ("whiteness", result.whiteness, "", "probability of less white residuals, per output"),
+            ("modes_std", result.modes_std, "Hz and 1", "standard deviations of natural frequency and damping"),
+            ("static_gain_std", result.static_gain_std, "", "standard deviations of the static gain"),
+            ("aic", result.aic, "", "Akaike's information criterion"),
+            ("fpe", result.fpe, "", "final prediction error"),
+            ("condition", result.condition, "", "condition of the scaled information"),
         )
         for name, values, unit, long_name in scalars:
             hdf5.add_dataset(file, name, values, unit, long_name)
@@ -98,6 +106,7 @@ def _read_result(file: h5py.File) -> FitResult:
         for column in ("estimate", "std", "start")
     }
     attribute = hdf5.read_attribute
+    trusted = str(attribute(file, "trusted"))
     return FitResult(
         structure=str(attribute(file, "structure")),
         recordings=_texts(file, "recordings"),
@@ -105,7 +114,13 @@ def _read_result(file: h5py.File) -> FitResult:
         std=numbers["std"],
         units=dict(zip(names, _texts(parameters, "units"), strict=True)),
         free=_texts(parameters, "free"),
-        covariance=hdf5.read_dataset(parameters, "covariance"),
+        covariance=hdf5.read_dataset(parameters, f"covariance_{trusted}"),
+        covariance_white=hdf5.read_dataset(parameters, "covariance_white"),
+        covariance_robust=hdf5.read_dataset(parameters, "covariance_robust"),
+        trusted="robust" if trusted == "robust" else "white",
+        whiteness=hdf5.read_dataset(file, "whiteness"),
+        modes_std=hdf5.read_dataset(file, "modes_std"),
+        static_gain_std=hdf5.read_dataset(file, "static_gain_std"),
         initial_states=hdf5.read_dataset(file, "initial_states"),
         loss=float(hdf5.read_dataset(file, "loss")),
         error_covariance=hdf5.read_dataset(file, "error_covariance"),
@@ -115,6 +130,11 @@ def _read_result(file: h5py.File) -> FitResult:
         iterations=int(attribute(file, "iterations")),
         wall_time_s=float(hdf5.read_dataset(file, "wall_time_s")),
         start=numbers["start"],
+        start_origin=dict(zip(names, _texts(parameters, "start_origin"), strict=True)),
+        aic=float(hdf5.read_dataset(file, "aic")),
+        fpe=float(hdf5.read_dataset(file, "fpe")),
+        condition=float(hdf5.read_dataset(file, "condition")),
+        local_names=json.loads(str(attribute(file, "local_names"))),
         notes=_texts(file, "notes"),
         options=json.loads(str(attribute(file, "options"))),
         model=_read_model(file["model"]),
@@ -128,6 +148,7 @@ def _write_parameters(group: h5py.Group, result: FitResult) -> None:
         ("names", names),
         ("units", [result.units[name] for name in names]),
         ("free", list(result.free)),
+        ("start_origin", [result.start_origin[name] for name in names]),
     ):
         group.attrs.create(key, texts, shape=(len(texts),), dtype=_TEXT)
     columns = (
@@ -137,17 +158,22 @@ def _write_parameters(group: h5py.Group, result: FitResult) -> None:
     )
     for column, values, long_name in columns:
         hdf5.add_dataset(group, column, [values[name] for name in names], "as attribute units", long_name)
-    hdf5.add_dataset(group, "covariance", result.covariance, "as attribute units", "covariance of the free parameters")
+    kinds = (
+        ("covariance_white", result.covariance_white, "covariance of the free parameters for white residuals"),
+        ("covariance_robust", result.covariance_robust, "covariance of the free parameters for any residuals"),
+    )
+    for name, matrix, long_name in kinds:
+        hdf5.add_dataset(group, name, matrix, "as attribute units", long_name)
 
 
 def _write_model(group: h5py.Group, model: LinearModel) -> None:
     group.attrs["name"] = model.name
     for key in ("input_names", "output_names", "state_names"):
         group.attrs.create(key, list(getattr(model, key)), dtype=_TEXT)
-    for letter in "ABCDK":
-        matrix = getattr(model, letter)
+    for name in (*"ABCDK", "B_delayed", "delay"):
+        matrix = getattr(model, name)
         if matrix is not None:
-            hdf5.add_dataset(group, letter, matrix, "SI", f"matrix {letter} of the continuous model")
+            hdf5.add_dataset(group, name, matrix, "s" if name == "delay" else "SI", f"{name} of the continuous model")
 
 
 def _read_model(group: h5py.Group) -> LinearModel:
@@ -157,7 +183,7 @@ def _read_model(group: h5py.Group) -> LinearModel:
         B,
         C,
         D,
-        K=hdf5.read_dataset(group, "K") if "K" in group else None,
+        **{name: hdf5.read_dataset(group, name) for name in ("K", "B_delayed", "delay") if name in group},
         name=str(hdf5.read_attribute(group, "name")),
         input_names=_texts(group, "input_names"),
         output_names=_texts(group, "output_names"),

@@ -193,6 +193,63 @@ class LinearModel:
             When shapes do not fit, an input is not finite, the sample time is missing or differs, or
             `intersample` is asked of a discrete model.
         """
+        F, forcing, u, x0 = self._driven(inputs, sample_time, initial_state, intersample)
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def predict(
+        self,
+        inputs: npt.ArrayLike,
+        outputs: npt.ArrayLike,
+        sample_time: float | None = None,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Predict each output one sample ahead from measured inputs and outputs (paper, Eq. 10).
+
+        Without a disturbance gain this is the simulation.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+        outputs : (n_samples, n_outputs) array
+            Measured.
+        sample_time : float, optional
+            Time between samples [s]; a discrete model has its own.
+        initial_state : (n,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Behaviour of the inputs between samples.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+
+        Raises
+        ------
+        UsageError
+            As `simulate`, or when the outputs do not fit.
+        """
+        F, forcing, u, x0 = self._driven(inputs, sample_time, initial_state, intersample)
+        y = np.asarray(outputs, float)
+        if y.shape != (len(u), self.C.shape[0]) or not np.isfinite(y).all():
+            expected = (len(u), self.C.shape[0])
+            raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")
+        if self.K is not None:
+            gain = np.array(self.K)
+            if self.dt is None and sample_time is not None:
+                gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
+            F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
+        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def _driven(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float | None,
+        initial_state: npt.ArrayLike | None,
+        intersample: str | Sequence[str],
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Check a sampled run; return transition, forcing by the inputs, inputs and initial state."""
         u = np.asarray(inputs, float)
         if u.ndim != 2 or u.shape[1] != self.B.shape[1]:
             raise UsageError(
@@ -218,10 +275,10 @@ class LinearModel:
         forcing[:-1] += u[1:] @ following.T
         if self.delay is not None and sample_time is not None:
             forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
-        return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+        return F, forcing, u, x0
 
     def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
-        """What the late inputs add to the state in each sample; before the record they stood at its first value."""
+        """Sum up what the late inputs add to the state; before the record they stood at its first value."""
         assert self.delay is not None
         assert self.B_delayed is not None
         forcing = np.zeros((len(u), self.n_states))
