@@ -61,8 +61,7 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
         powers.append(powers[-1] @ Z)
     coefficients = [1.0 / factorial(k + 2) for k in range(TAYLOR_ORDER + 1)]
     blocks = [
-        _weighted_sum(coefficients[start : start + _BLOCK], powers)
-        for start in range(0, TAYLOR_ORDER + 1, _BLOCK)
+        _weighted_sum(coefficients[start : start + _BLOCK], powers) for start in range(0, TAYLOR_ORDER + 1, _BLOCK)
     ]
     phi2 = blocks[-1]
     for block in reversed(blocks[:-1]):

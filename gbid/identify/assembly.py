@@ -93,7 +93,8 @@ def assemble(
 
     predictor = predictor_for(focus)
     _check_channels(structure, predictor, data)
-    scopes = {**local, **dict.fromkeys(offset_names, "recording")}
+    always: Scope = "recording"
+    scopes = {**local, **dict.fromkeys(offset_names, always)}
     unknown = [name for name in scopes if name not in [q.name for q in predictor.free]]
     if unknown:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")

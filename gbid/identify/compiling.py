@@ -16,7 +16,20 @@ from pathlib import Path
 from filelock import FileLock
 from platformdirs import user_cache_path
 
-FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-shared", "-w")
+# Sums may be reordered, but not -ffast-math: a library linked with it makes the whole process flush small numbers
+# to zero.
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fno-signed-zeros",
+    "-fassociative-math",
+    "-ffp-contract=fast",
+    "-fPIC",
+    "-shared",
+    "-w",
+)
 
 
 class CompilerMissing(Exception):

@@ -44,7 +44,7 @@ def fit(
     offsets: bool = False,
     initial_state: InitialState = "estimated",
     left_out: Mapping[str, Sequence[tuple[int, int]]] | None = None,
-    window: int | None | Literal["auto"] = "auto",
+    window: int | Literal["auto"] | None = "auto",
     stop: Stop = "tolerance",
     max_iterations: int = 100,
     scaling: bool = True,
@@ -175,7 +175,7 @@ def _ladder(data: FitData, focus: Focus) -> list[int | None]:
     return [usual, max(16, usual // 2), 4 * usual]
 
 
-def _best_of(attempt: Callable[[int | None], FitResult], windows: int | None | list[int | None]) -> FitResult:
+def _best_of(attempt: Callable[[int | None], FitResult], windows: int | list[int | None] | None) -> FitResult:
     """Take the first attempt that converges; else the one with the smallest loss. Say which it was."""
     if not isinstance(windows, list):
         return attempt(windows)
@@ -196,7 +196,7 @@ def _best_of(attempt: Callable[[int | None], FitResult], windows: int | None | l
 
 
 def _check_options(
-    focus: str, criterion: str, window: int | None | str, stop: str, max_iterations: int, horizon: int
+    focus: str, criterion: str, window: int | str | None, stop: str, max_iterations: int, horizon: int
 ) -> None:
     choices = {
         "focus": (focus, ("prediction", "simulation")),

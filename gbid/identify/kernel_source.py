@@ -69,7 +69,14 @@ def kernel_source(pattern: KernelPattern) -> str:
     for i in range(n_p):
         step += _sensitivity(pattern, i)
     return _TEMPLATE.format(
-        N=n, NZ=n_z, NY=n_y, NP=n_p, NPP=padded, STEPS=steps, TILE=_TILE, STEP="\n".join("      " + line for line in step)
+        N=n,
+        NZ=n_z,
+        NY=n_y,
+        NP=n_p,
+        NPP=padded,
+        STEPS=steps,
+        TILE=_TILE,
+        STEP="\n".join("      " + line for line in step),
     )
 
 
@@ -98,7 +105,9 @@ def _outputs(p: KernelPattern) -> list[str]:
 
 def _state(p: KernelPattern) -> list[str]:
     n, n_z = p.G.shape
-    lines = [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
+    lines = [
+        f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)
+    ]
     return lines
 
 

@@ -132,7 +132,8 @@ def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) 
     following = {int(a): int(b) for a, b in problem.links}
     records = []
     for window in assembly.record_window:
-        rows, at = [], int(window)
+        rows: list[FloatArray] = []
+        at = int(window)
         while True:
             if at in by_window:
                 rows.append(by_window[at])
@@ -227,7 +228,7 @@ def _standard_deviations(
 ) -> dict[str, float]:
     fixed = {q.name for q in parameters if q.fixed}
     std = {name: 0.0 if name in fixed else np.nan for name in estimates}
-    dark = (np.abs(found.undetermined) > 1e-3).any(axis=0)
+    dark = np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
     for i, q in enumerate(free):
         if not (on_bound[i] or dark[i]):
             std[q.name] = float(np.sqrt(chosen[i, i]))

@@ -138,13 +138,14 @@ class Predictor:
             feeds.append(_offset_column(theta[-n_y:], n_p))
         drive, feed = side_by_side(drives), side_by_side(feeds)
         if not self.feeds_back:
-            parts = (F, drive, C, feed)
+            parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
         else:
             none = constant(np.zeros((n_y, n_y)), n_p)
             parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
         if self.horizon > 1:
             parts = _look_ahead(parts, F, drive, C, feed, self.horizon)
-        return PredictorValues(*(m.value for m in parts), *(m.slope for m in parts), tuple(shift))
+        F, G, C, H = parts
+        return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
 
     def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
         """Regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
@@ -158,7 +159,7 @@ class Predictor:
 
         def lagged(channels: Sequence[int], lag: int) -> FloatArray:
             rows = np.clip(np.arange(n) - lag, 0, n - 1)
-            return inputs[np.ix_(rows, list(channels))]
+            return np.asarray(inputs[np.ix_(rows, np.array(channels, int))])
 
         parts = [inputs[:, list(self.prompt)]]
         if self._lead:
@@ -174,14 +175,14 @@ class Predictor:
         return np.hstack([part[:rows] for part in z] + [now[i : i + rows] for i in range(1, self.horizon)])
 
     def targets(self, outputs: FloatArray) -> FloatArray:
-        """Outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
+        """Return the outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
         return outputs[self.horizon - 1 :]
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Continuous matrices with their derivatives."""
         n_p = len(self.free)
-        flat, jacobian = self._function(theta)
-        flat, jacobian = np.asarray(flat, float)[:, 0], np.asarray(jacobian, float)
+        flat, jacobian = (np.asarray(m, float) for m in self._function(theta))
+        flat = flat[:, 0]
         result, start = [], 0
         for rows, columns in self._shapes:  # CasADi stacks columns
             stop = start + rows * columns
@@ -288,7 +289,9 @@ def _offset_column(offsets: FloatArray, n_p: int) -> Dual:
     return Dual(offsets[:, None], slope)
 
 
-def _look_ahead(parts: tuple[Dual, ...], A: Any, drive: Any, C: Any, feed: Any, horizon: int) -> tuple[Dual, ...]:
+def _look_ahead(
+    parts: tuple[Dual, Dual, Dual, Dual], A: Any, drive: Any, C: Any, feed: Any, horizon: int
+) -> tuple[Dual, Dual, Dual, Dual]:
     """Carry a one-step predictor on, without new measurements, to a longer horizon.
 
     ``yhat[k+h-1] = C A^(h-1) x[k] + sum_i C A^(h-2-i) drive z[k+i] + feed z[k+h-1]``.

@@ -76,9 +76,7 @@ def build_problem(
     return problem, problem.pack(theta, starts)
 
 
-def unknown_bounds(
-    problem: Shooting, assembly: Assembly, initial_state: InitialState
-) -> tuple[FloatArray, FloatArray]:
+def unknown_bounds(problem: Shooting, assembly: Assembly, initial_state: InitialState) -> tuple[FloatArray, FloatArray]:
     """Bounds of all unknowns, scaled; given initial states are held.
 
     Raises
@@ -107,7 +105,7 @@ def unknown_bounds(
 
 
 def window_length(problem: Shooting) -> int:
-    """Samples in a shooting window."""
+    """Return the number of samples in a shooting window."""
     blocks = problem.parts[0].blocks
     return blocks.length * blocks.per_window
 

@@ -56,12 +56,12 @@ def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, 
     gain : (n_y, n_u) array
     slopes : (n_y, n_u, n_p) array
     """
-    inverse = np.linalg.inv(A.value)
+    inverse = np.asarray(np.linalg.inv(A.value), float)
     A_inverse = Dual(inverse, -inverse @ A.slope @ inverse)
     gain = D - C @ (A_inverse @ B)
     return gain.value, gain.slope.transpose(1, 2, 0)
 
 
 def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Standard deviations from derivatives (..., n_p) and the parameters' covariance."""
+    """Return standard deviations from derivatives (..., n_p) and the parameters' covariance."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))

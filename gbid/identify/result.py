@@ -128,4 +128,6 @@ class FitResult:
         """Return standard deviations by one of the two covariances, whichever is trusted."""
         chosen = self.covariance_white if kind == "white" else self.covariance_robust
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))
-        return {name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()}
+        return {
+            name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()
+        }

@@ -213,8 +213,16 @@ def run_with_numpy(
         part = slice(first, first + step)
         rows = slice(first * lanes, (first + step) * lanes)
         parts.append(
-            _run(v, _flat(z[part]), _flat(blocks.y[part]), _flat(blocks.used[part, :, None])[:, 0],
-                 blocks.size[rows], starts[rows].T, root, free)
+            _run(
+                v,
+                _flat(z[part]),
+                _flat(blocks.y[part]),
+                _flat(blocks.used[part, :, None])[:, 0],
+                blocks.size[rows],
+                starts[rows].T,
+                root,
+                free,
+            )
         )
     joined = [np.concatenate([part[i] for part in parts]) for i in range(2, 7)]
     totals = [np.sum([part[i] for part in parts], axis=0) for i in range(2)]
@@ -225,7 +233,7 @@ _CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
 
 
 def _flat(values: FloatArray) -> FloatArray:
-    """Groups side by side: (n_groups, length, n, lanes) to (length, n, n_groups * lanes)."""
+    """Put groups side by side: (n_groups, length, n, lanes) to (length, n, n_groups * lanes)."""
     return np.ascontiguousarray(values.transpose(1, 2, 0, 3)).reshape(values.shape[1], values.shape[2], -1)
 
 

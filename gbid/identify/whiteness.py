@@ -73,7 +73,7 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
 
 
 def correlation_length(errors: list[FloatArray]) -> int:
-    """Samples over which residuals remember: the last lag whose autocorrelation leaves the 99.9 % band."""
+    """Count the samples over which residuals remember: to the last lag whose autocorrelation leaves its band."""
     longest = 1
     for e in errors:
         n = len(e)

@@ -71,8 +71,8 @@ def prefilter(
     """Remove run-out and unbalance response, offsets and spikes.
 
     In this order: ``p = p_raw - F_r(phi)``; the means of all signals but angle and force; the median on p alone.
-    The paper speaks of the mean disc position only. A linear model from u to p (Eq. 6) or r to u (Eq. 14) has no constant
-    term, so the mean of its input goes as well; without noise and filters the means of one recording still
+    The paper speaks of the mean disc position only. A linear model from u to p (Eq. 6) or r to u (Eq. 14) has no
+    constant term, so the mean of its input goes as well; without noise and filters the means of one recording still
     fit the static gain to within what the ends of the record contribute, some nanometres in 5 s.
 
     The median colours white noise and cuts crests, see `running_median`; ``median=1`` switches it off.

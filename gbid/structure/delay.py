@@ -44,7 +44,13 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
     A, b, c, d = _unit_ladder(order)
     nothing = ca.SX(order, 1)
     return Matrices(
-        ca.SX(ca.sparsify(ca.DM(A))) / tau, ca.SX(ca.DM(b)) / tau, ca.SX(ca.DM(c)), ca.SX(d), nothing, nothing, ca.SX(0, 1)
+        ca.SX(ca.sparsify(ca.DM(A))) / tau,
+        ca.SX(ca.DM(b)) / tau,
+        ca.SX(ca.DM(c)),
+        ca.SX(d),
+        nothing,
+        nothing,
+        ca.SX(0, 1),
     )
 
 

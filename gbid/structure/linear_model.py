@@ -156,7 +156,9 @@ class LinearModel:
         """
         self._require_continuous()
         if self.delay is not None:
-            raise UsageError(f"model {self.name!r} has exact delays: turn them into states first, with_pade(model, order)")
+            raise UsageError(
+                f"model {self.name!r} has exact delays: turn them into states first, with_pade(model, order)"
+            )
         _check_sample_time(self.name, sample_time)
         B = self.B if self.K is None else np.hstack([self.B, self.K])
         F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")

@@ -97,7 +97,9 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     u, input_names, _ = select(recording, inputs)
     y, output_names, _ = select(recording, outputs)
     if lags < 1 or len(y) < 4 * lags:
-        raise UsageError(f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth")
+        raise UsageError(
+            f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth"
+        )
     hold = result.options["intersample"].split()
     between: str | list[str] = hold[0] if len(hold) == 1 else hold
     model = result.model
@@ -124,7 +126,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     return ResidualTest(
         recording=recording.name,
         lags=np.arange(lags + 1),
-        time=recording.sample_time * np.arange(lags + 1),
+        time=recording.time[: lags + 1],
         autocorrelation=auto,
         band=quantile / float(np.sqrt(n)),
         cross_lags=np.arange(-lags, lags + 1),
