@@ -17,6 +17,7 @@ from gbid.identify.engine import EngineName, choose_engine
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
 from gbid.identify.shooting import Part
 from gbid.structure import Parameter, Structure
+import itertools
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -207,7 +208,7 @@ def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predic
     edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
     return [
         _Stretch(Piece(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in itertools.pairwise(edges)
     ]
 
 
@@ -274,7 +275,7 @@ class _Builder:
         return tuple(parts), [windows_of[item] for item in self._order]
 
     def _samples(self, predictor: Predictor) -> list[PredictorValues]:
-        """The predictor at the start and at a point where nothing is zero by chance."""
+        """Evaluate the predictor at the start and at a point where nothing is zero by chance."""
         theta = np.array([self._begin.get(q.name, 0.0) for q in predictor.free])
         nudged = np.where(theta == 0, 1e-3, theta * 1.001)
         nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])

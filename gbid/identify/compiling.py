@@ -32,7 +32,7 @@ FLAGS = (
 )
 
 
-class CompilerMissing(Exception):
+class CompilerMissingError(Exception):
     """No C compiler, or one that cannot build the kernel; the text says which."""
 
 
@@ -60,7 +60,7 @@ def load_library(source: str) -> ctypes.CDLL:
 
     Raises
     ------
-    CompilerMissing
+    CompilerMissingError
         When there is no compiler, it fails, or no folder can be written.
     """
     command, identity = _compiler()
@@ -78,7 +78,7 @@ def load_library(source: str) -> ctypes.CDLL:
                 _compile(command, source, library)
                 return ctypes.CDLL(str(library))
     except OSError as error:
-        raise CompilerMissing(f"the cache of compiled kernels cannot be used: {error}") from None
+        raise CompilerMissingError(f"the cache of compiled kernels cannot be used: {error}") from None
 
 
 @cache
@@ -90,7 +90,7 @@ def _compiler() -> tuple[list[str], str]:
             answer = subprocess.run([*candidate, "--version"], capture_output=True, text=True, check=False)
             if answer.returncode == 0:
                 return candidate, answer.stdout
-    raise CompilerMissing(f"no C compiler found ({named or 'cc, gcc, clang'})")
+    raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang'})")
 
 
 @cache
@@ -113,5 +113,5 @@ def _compile(command: list[str], source: str, library: Path) -> None:
         )
         if answer.returncode != 0:
             first = (answer.stderr.strip() or answer.stdout.strip()).splitlines()[:1]
-            raise CompilerMissing(f"{command[0]} failed on the kernel: {first[0] if first else answer.returncode}")
+            raise CompilerMissingError(f"{command[0]} failed on the kernel: {first[0] if first else answer.returncode}")
         built.replace(library)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from gbid.errors import UsageError
 from gbid.identify.blocks import LANES, Blocks
-from gbid.identify.compiling import CompilerMissing, load_library
+from gbid.identify.compiling import CompilerMissingError, load_library
 from gbid.identify.kernel_source import KernelPattern, kernel_source
 from gbid.identify.predictor import PredictorValues
 from gbid.identify.sweep import BlockSums, Engine, run_with_numpy
@@ -61,7 +61,7 @@ def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenE
         return ChosenEngine(run_with_numpy, "numpy", "")
     try:
         return ChosenEngine(CompiledEngine(samples), "compiled", "")
-    except CompilerMissing as missing:
+    except CompilerMissingError as missing:
         if wanted == "compiled":
             raise UsageError(f"engine = 'compiled': {missing}") from None
         return ChosenEngine(run_with_numpy, "numpy", f"{missing}: the slower numpy pass was used")

@@ -132,15 +132,15 @@ def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) 
     following = {int(a): int(b) for a, b in problem.links}
     records = []
     for window in assembly.record_window:
-        rows: list[FloatArray] = []
+        stretches: list[FloatArray] = []
         at = int(window)
         while True:
             if at in by_window:
-                rows.append(by_window[at])
+                stretches.append(by_window[at])
             if at not in following:
                 break
             at = following[at]
-        records.append(np.concatenate(rows))
+        records.append(np.concatenate(stretches))
     return records
 
 
