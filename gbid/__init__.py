@@ -12,29 +12,34 @@ from gbid._version import __version__
 
 if TYPE_CHECKING:
     from gbid.control import close_loop
-    from gbid.identify import FitResult, load_fit, save_fit
+    from gbid.identify import FitResult, MultiStart, Progress, fit_multistart, load_fit, save_fit
     from gbid.identify.fit import fit
     from gbid.lpv import LPVModel, load_model
     from gbid.prefilter.identify_runout import identify_runout
     from gbid.prefilter.prefilter import prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording
-    from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing
-    from gbid.validate import cross_validate
+    from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, with_pade
+    from gbid.validate import ResidualTest, check_residuals, cross_validate
 
 __all__ = [
     "FitResult",
     "LPVModel",
     "LinearModel",
     "LinearStructure",
+    "MultiStart",
     "Parameter",
     "PiezoPair",
     "Plant",
+    "Progress",
     "Recording",
+    "ResidualTest",
     "RotorBearing",
     "__version__",
+    "check_residuals",
     "close_loop",
     "cross_validate",
     "fit",
+    "fit_multistart",
     "identify_runout",
     "import_recording",
     "load_fit",
@@ -43,16 +48,17 @@ __all__ = [
     "prefilter",
     "save_fit",
     "save_recording",
+    "with_pade",
 ]
 
 _HOME = {
     "control": ("close_loop",),
-    "identify": ("FitResult", "fit", "load_fit", "save_fit"),
+    "identify": ("FitResult", "MultiStart", "Progress", "fit", "fit_multistart", "load_fit", "save_fit"),
     "lpv": ("LPVModel", "load_model"),
     "prefilter": ("identify_runout", "prefilter"),
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
-    "structure": ("LinearModel", "LinearStructure", "Parameter", "PiezoPair", "Plant", "RotorBearing"),
-    "validate": ("cross_validate",),
+    "structure": ("LinearModel", "LinearStructure", "Parameter", "PiezoPair", "Plant", "RotorBearing", "with_pade"),
+    "validate": ("ResidualTest", "check_residuals", "cross_validate"),
 }
 _MODULES = {name: f"gbid.{package}" for package, names in _HOME.items() for name in names}
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gbid.rig import ActuatorTruth, RotorBearingTruth
+from gbid.rig import ActuatorTruth, Machine, RotorBearingTruth
 
 # constant, bar, rpm, bar rpm, bar^2, rpm^2; printed unit, 1e-3 of it per kg
 _TABLE = {
@@ -23,12 +23,18 @@ _TABLE = {
 }
 
 
-def rotor_bearing(pressure_bar: float = 5.0, speed_rpm: float = 6000.0) -> RotorBearingTruth:
+_ACTUATORS = {"p1_x": 3078, "p2_x": 8143, "kappa_x": 1.863, "p1_y": 2452, "p2_y": 6494, "kappa_y": 1.865}
+
+
+def machine(pressure_bar: float = 5.0, speed_rpm: float = 6000.0, **parts) -> Machine:
     p, w = pressure_bar, speed_rpm
     value = {name: 1e-3 * np.dot([1, p, w, w * p, p * p, w * w], row) for name, row in _TABLE.items()}
-    matrices = [[[value[f"{k}_xx"], value[f"{k}_xy"]], [value[f"{k}_yx"], value[f"{k}_yy"]]] for k in ("k", "d", "b")]
-    return RotorBearingTruth(*matrices, delay=[value["tau_x"], value["tau_y"]])
+    return Machine.from_parameters(value, _ACTUATORS, **parts)
+
+
+def rotor_bearing(pressure_bar: float = 5.0, speed_rpm: float = 6000.0) -> RotorBearingTruth:
+    return machine(pressure_bar, speed_rpm).rotor_bearing
 
 
 def actuator() -> ActuatorTruth:
-    return ActuatorTruth(slow_pole=[3078, 2452], fast_pole=[8143, 6494], gain=[1.863, 1.865])
+    return machine().actuator

@@ -133,12 +133,13 @@ def test_tree_of_fit_results_names_what_is_written(tmp_path: Path) -> None:
         for place in written:
             written[place] = set(file[place]) | set(file[place].attrs) - common
     names = set.union(*written.values())
-    assert {"K", "covariance", "notes"} <= names
+    assert {"K", "B_delayed", "delay", "covariance_white", "covariance_robust", "notes"} <= names
     assert not [name for name in names if not re.search(rf"(^|[ ,│├└─]){name}[ ,/:]", section, re.MULTILINE)]
 
 
 def _lag(p: Any) -> dict[str, Any]:
-    return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]]}
+    late = {"B_delayed": [[0.1]], "delay": [0.05]}
+    return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]], **late}
 
 
 def cells(path: Path) -> list[str]:

@@ -1,5 +1,7 @@
 """Fit results in HDF5: round trip and damaged files."""
 
+from dataclasses import replace
+
 import h5py
 import numpy as np
 import pytest
@@ -8,6 +10,7 @@ from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simul
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit, load_fit, save_fit
 from gbid.recording import save_recording
+from gbid.structure import LinearStructure, Parameter
 
 
 @pytest.fixture(scope="module")
@@ -21,19 +24,23 @@ def result(data):
 
 
 def assert_same(a, b):
-    for name in ("structure", "recordings", "free", "loss", "status", "success", "iterations", "wall_time_s", "notes"):
+    scalars = ("structure", "loss", "status", "success", "iterations", "wall_time_s", "trusted", "aic", "fpe", "condition")
+    for name in (*scalars, "recordings", "free", "notes", "local_names"):
         assert getattr(a, name) == getattr(b, name), name
         assert type(getattr(a, name)) is type(getattr(b, name)), name
     assert a.sample_time == b.sample_time
-    for name in ("parameters", "std", "units", "start", "options"):
+    for name in ("parameters", "std", "units", "start", "start_origin", "options"):
         one, two = getattr(a, name), getattr(b, name)
         assert list(one) == list(two), name
         for key in one:  # also nan
             assert one[key] == two[key] or (np.isnan(one[key]) and np.isnan(two[key])), key
-    for name in ("covariance", "initial_states", "error_covariance", "fit_percent"):
+    for name in (
+        *("covariance", "covariance_white", "covariance_robust", "initial_states", "error_covariance", "fit_percent"),
+        *("whiteness", "modes_std", "static_gain_std"),
+    ):
         np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
         assert getattr(a, name).shape == getattr(b, name).shape
-    for letter in "ABCDK":
+    for letter in (*"ABCDK", "B_delayed", "delay"):
         one, two = getattr(a.model, letter), getattr(b.model, letter)
         assert (one is None) is (two is None)
         if one is not None:
@@ -60,6 +67,32 @@ def test_round_trip_with_a_disturbance_gain_and_no_notes(tmp_path):
     assert_same(load_fit(tmp_path / "a.h5"), with_gain)
 
 
+def test_round_trip_with_exact_delays_local_parameters_and_offsets(tmp_path):
+    late = LinearStructure(
+        "late",
+        [Parameter("a", 1.0), Parameter("b", 1.0), Parameter("tau", 0.2, lower=0.0, upper=1.0, unit="s")],
+        lambda p: {"A": [[-p.a]], "B": [[0]], "B_delayed": [[p.b]], "delay": [p.tau], "C": [[1]]},
+    )
+    recs = [
+        simulated(late, {"a": 2.0, "b": b, "tau": 0.33}, levels(200, seed=i), noise=0.05, seed=i, name=f"é {i}")
+        for i, b in enumerate((1.0, 3.0))
+    ]
+    made = fit(late, recs, local={"b": "recording"}, offsets=True, start={"a": 1.5})
+    assert made.model.delay is not None
+    assert made.local_names["é 1"] == {"b": "b[é 1]", "offset_y": "offset_y[é 1]"}
+    save_fit(made, tmp_path / "late.h5")
+    found = load_fit(tmp_path / "late.h5")
+    assert_same(found, made)
+    assert found.parameters_of("é 1") == made.parameters_of("é 1")
+
+
+@pytest.mark.parametrize("trusted", ["white", "robust"])
+def test_the_trusted_covariance_comes_back(result, trusted, tmp_path):
+    chosen = replace(result, trusted=trusted, covariance=getattr(result, f"covariance_{trusted}"))
+    save_fit(chosen, tmp_path / "fit.h5")
+    assert_same(load_fit(tmp_path / "fit.h5"), chosen)
+
+
 def test_a_fit_that_did_not_converge_is_kept_as_such(data, tmp_path):
     bad = fit(MODE, data, max_iterations=1, start={"w": 8.0})
     save_fit(bad, tmp_path / "bad.h5")
@@ -81,7 +114,8 @@ def test_every_dataset_has_unit_and_name_and_the_key_is_kept(result, tmp_path):
                 assert item.attrs["long_name"], name
 
         file.visititems(visit)
-        assert {"loss", "parameters/estimate", "parameters/std", "parameters/covariance", "model/A"} <= set(names)
+        assert {"loss", "parameters/estimate", "parameters/std", "model/A"} <= set(names)
+        assert {"parameters/covariance_white", "parameters/covariance_robust", "modes_std"} <= set(names)
         assert list(file["parameters"].attrs["units"]) == list(result.units.values())
 
 
@@ -105,7 +139,12 @@ def put(group, name, values):
 
 
 DAMAGE = {
-    "no covariance": (lambda f: f["parameters"].__delitem__("covariance"), "parameters/covariance is missing"),
+    "no covariance": (
+        lambda f: f["parameters"].__delitem__("covariance_white"),
+        "parameters/covariance_white is missing",
+    ),
+    "no word on which covariance": (lambda f: f.attrs.__delitem__("trusted"), "no attribute 'trusted'"),
+    "no start origin": (lambda f: f["parameters"].attrs.__delitem__("start_origin"), "no attribute 'start_origin'"),
     "no loss": (lambda f: f.__delitem__("loss"), "loss is missing"),
     "no parameters": (lambda f: f.__delitem__("parameters"), "incomplete fit file|parameters"),
     "no model": (lambda f: f.__delitem__("model"), "incomplete fit file|model"),

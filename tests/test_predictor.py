@@ -16,8 +16,8 @@ ROTOR_AT = {**KEY, **GAINS}
 PIEZO_AT = {**ACTUATORS, "bd1_x": 9.0, "bd2_x": 8.0, "bd1_y": 7.0, "bd2_y": 6.0}
 
 
-def predictor_of(structure, values, h=H, hold="zoh", focus="prediction", fixed=None):
-    return build_predictor(structure, fixed or {}, h, hold, focus, [values])
+def predictor_of(structure, h=H, hold="zoh", focus="prediction", fixed=None):
+    return build_predictor(structure, fixed or {}, h, hold, focus)
 
 
 def theta_of(predictor, values):
@@ -29,7 +29,7 @@ def predictions(predictor, values, u, y, x0, h=H):
     data = fit_data([(u, y)], h)
     blocks = cut(data, predictor, None)
     error = residuals(predictor.at(theta_of(predictor, values)), blocks, np.atleast_2d(x0))
-    return y - error.transpose(2, 0, 1).reshape(-1, y.shape[1])[: len(y)]
+    return y - blocks.by_piece(error)[0]
 
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
@@ -37,12 +37,14 @@ def predictions(predictor, values, u, y, x0, h=H):
 def test_predictions_are_those_of_the_plain_loop(focus, holds):
     u, y = smooth(60, seed=1), smooth(60, seed=2)
     x0 = np.array([0.4, -1.0])
-    predictor = predictor_of(EVERY, EVERY_AT, hold=holds, focus=focus)
+    predictor = predictor_of(EVERY, hold=holds, focus=focus)
     found = predictions(predictor, EVERY_AT, u, y, x0)
     expected = predicted(evaluate(EVERY, EVERY_AT), u, y, H, holds, x0, focus == "prediction")
     np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
     assert predictor.feeds_back is (focus == "prediction")
-    assert predictor.lead == tuple(i for i, hold in enumerate(holds) if hold == "foh")
+    ahead = u[1:, [i for i, hold in enumerate(holds) if hold == "foh"]]  # u[k+1] follows u[k] where it is on a line
+    np.testing.assert_array_equal(predictor.regressors(u, y, ())[:-1, 2 : 2 + ahead.shape[1]], ahead)
+    assert predictor.regressors(u, y, ()).shape == (60, 2 + ahead.shape[1] + 2 * (focus == "prediction"))
 
 
 @pytest.mark.parametrize("order", [1, 3])
@@ -51,7 +53,7 @@ def test_predictions_of_the_rotor_bearing(order, hold):
     structure = RotorBearing(pade_order=order)
     u, y = piezo_motion(700), 1e-6 * smooth(700, seed=3)
     x0 = np.concatenate([[1e-6, -2e-6, 1e-3, 5e-4], np.zeros(2 * order)])
-    predictor = predictor_of(structure, ROTOR_AT, TS, hold)
+    predictor = predictor_of(structure, TS, hold)
     found = predictions(predictor, ROTOR_AT, u, y, x0, TS)
     expected = predicted(evaluate(structure, ROTOR_AT), u, y, TS, (hold, hold), x0, True)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
@@ -59,7 +61,7 @@ def test_predictions_of_the_rotor_bearing(order, hold):
 
 def test_simulation_focus_is_the_model_running_on_its_own():
     u = piezo_motion(400)
-    predictor = predictor_of(RotorBearing(), ROTOR_AT, TS, "foh", "simulation")
+    predictor = predictor_of(RotorBearing(), TS, "foh", "simulation")
     model = evaluate(RotorBearing(), ROTOR_AT)
     y = model.simulate(u, TS, intersample="foh")
     found = predictions(predictor, ROTOR_AT, u, y, np.zeros(6), TS)
@@ -75,7 +77,7 @@ def test_a_model_that_fits_predicts_its_own_simulation_whatever_the_gain():
     y = evaluate(EVERY, EVERY_AT).simulate(u, H, intersample="foh", initial_state=[1.0, 0.5])
     for k in (0.0, 0.7, 3.0):
         values = {**EVERY_AT, "k": k}
-        predictor = predictor_of(EVERY, values, hold="foh")
+        predictor = predictor_of(EVERY, hold="foh")
         np.testing.assert_allclose(predictions(predictor, values, u, y, [1.0, 0.5]), y, atol=1e-11)
 
 
@@ -93,10 +95,11 @@ def test_a_model_that_fits_predicts_its_own_simulation_whatever_the_gain():
     ids=["every-mixed", "every-simulation", "mode", "rotor", "rotor-pade-3", "piezo", "plant"],
 )
 def test_derivatives_are_those_of_central_differences(structure, values, h, hold, focus):
-    predictor = predictor_of(structure, values, h, hold, focus)
+    predictor = predictor_of(structure, h, hold, focus)
     theta = theta_of(predictor, values)
     at = predictor.at(theta)
-    n, n_y, n_z, n_p = predictor.n_states, predictor.n_outputs, predictor.n_z, len(theta)
+    n, n_y, n_p = predictor.n_states, predictor.n_outputs, len(theta)
+    n_z = predictor.regressors(np.ones((9, predictor.n_inputs)), np.ones((9, n_y)), at.shift).shape[1]
     for letter, shape in (("F", (n, n)), ("G", (n, n_z)), ("C", (n_y, n)), ("H", (n_y, n_z))):
         assert getattr(at, letter).shape == shape
         found = getattr(at, "d" + letter)
@@ -115,10 +118,10 @@ def test_derivatives_are_those_of_central_differences(structure, values, h, hold
 
 def test_fixed_parameters_are_put_in_and_the_rest_is_free():
     fixed = {"a": 0.8, "c": 0.7, "k": 1.2}
-    predictor = predictor_of(EVERY, EVERY_AT, fixed=fixed)
+    predictor = predictor_of(EVERY, fixed=fixed)
     assert [q.name for q in predictor.free] == ["w", "b", "d"]
     assert predictor.unused == ()
-    whole = predictor_of(EVERY, EVERY_AT)
+    whole = predictor_of(EVERY)
     part, full = predictor.at(theta_of(predictor, EVERY_AT)), whole.at(theta_of(whole, EVERY_AT))
     index = [i for i, q in enumerate(whole.free) if q.name not in fixed]
     for letter in "FGCH":
@@ -129,19 +132,21 @@ def test_fixed_parameters_are_put_in_and_the_rest_is_free():
 
 def test_nothing_to_estimate_is_refused():
     with pytest.raises(UsageError, match="structure 'every': no free parameter to estimate"):
-        predictor_of(EVERY, EVERY_AT, fixed=EVERY_AT)
+        predictor_of(EVERY, fixed=EVERY_AT)
 
 
 def test_a_gain_of_zero_entries_is_no_feedback():
-    predictor = predictor_of(RotorBearing(disturbance_gain="none"), KEY, TS, "foh")
+    predictor = predictor_of(RotorBearing(disturbance_gain="none"), TS, "foh")
     assert not predictor.feeds_back
-    assert predictor.n_z == 4
+    assert predictor.regressors(piezo_motion(30), smooth(30), ()).shape == (30, 4)
 
 
-def test_squarings_are_enough_where_they_were_asked_for_and_not_far_beyond():
+def test_a_pole_that_grows_by_orders_of_magnitude_stays_exact():
     lag = LinearStructure("lag", [Parameter("a")], lambda p: {"A": [[-p.a]], "B": [[p.a]], "C": [[1]]})
-    predictor = build_predictor(lag, {}, H, "zoh", "simulation", [{"a": 1.0}, {"a": 50.0}])
-    for a in (1.0, 20.0, 50.0):
-        assert predictor.enough_squarings(np.array([a]))
-        np.testing.assert_allclose(predictor.at(np.array([a])).F, [[np.exp(-a * H)]], rtol=1e-12, atol=1e-15)
-    assert not predictor.enough_squarings(np.array([1000.0]))
+    predictor = build_predictor(lag, {}, H, "zoh", "simulation")
+    for a in (1.0, 20.0, 50.0, 1000.0):
+        at = predictor.at(np.array([a]))
+        np.testing.assert_allclose(at.F, [[np.exp(-a * H)]], rtol=1e-12, atol=1e-15)
+        np.testing.assert_allclose(at.G, [[-np.expm1(-a * H)]], rtol=1e-12)
+        np.testing.assert_allclose(at.dF[0], [[-H * np.exp(-a * H)]], rtol=1e-11, atol=1e-15)
+        np.testing.assert_allclose(at.dG[0], [[H * np.exp(-a * H)]], rtol=1e-11, atol=1e-15)

@@ -6,7 +6,7 @@ import pytest
 from gbid import identify_runout, load_model
 from gbid.identify import fit
 from gbid.prefilter import prefilter
-from gbid.rig import ActuatorTruth, Machine, Prbs, RotorBearingTruth, Stationary, record
+from gbid.rig import Machine, Prbs, Stationary, record
 from gbid.structure import KEY_PARAMETERS, PiezoPair, Plant, RotorBearing
 from gbid.validate import cross_validate
 
@@ -17,9 +17,7 @@ ACTUATORS = MODEL.actuators
 
 
 def machine():
-    square = {q: [[TRUTH[f"{q}_xx"], TRUTH[f"{q}_xy"]], [TRUTH[f"{q}_yx"], TRUTH[f"{q}_yy"]]] for q in "kdb"}
-    bearing = RotorBearingTruth(square["k"], square["d"], square["b"], delay=[TRUTH["tau_x"], TRUTH["tau_y"]])
-    return Machine(bearing, ActuatorTruth(*([ACTUATORS[f"{q}_x"], ACTUATORS[f"{q}_y"]] for q in ("p1", "p2", "kappa"))))
+    return Machine.from_parameters(TRUTH, ACTUATORS)
 
 
 @pytest.fixture(scope="module")

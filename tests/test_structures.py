@@ -179,8 +179,9 @@ def test_symbolic_matrices_are_the_evaluated_ones(structure):
     model = evaluate(structure, values)
     function = ca.Function("m", [p], [ca.densify(letter) for letter in m])
     numeric = function([values[q.name] for q in structure.parameters])
-    for found, expected in zip(numeric, (model.A, model.B, model.C, model.D, model.K), strict=True):
+    for found, expected in zip(numeric[:5], (model.A, model.B, model.C, model.D, model.K), strict=True):
         np.testing.assert_array_equal(np.array(found), expected)
+    assert (m.has_delay, m.B_delayed.nnz(), m.delay.numel()) == (False, 0, 0)
 
 
 # ---- a structure of one's own ----
@@ -224,7 +225,7 @@ STRAY = ca.SX.sym("stray")
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1, 2]]}, r"C has shape \(1, 2\), expected \(1, 1\)"),
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1]], "D": [[1, 1]]}, r"D has shape \(1, 2\), expected \(1, 1\)"),
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1]], "K": [[1], [1]]}, r"K has shape \(2, 1\), expected \(1, 1\)"),
-        (lambda p: {"B": [[1]], "C": [[1]]}, "must give A, B, C and may give D, K; got B, C"),
+        (lambda p: {"B": [[1]], "C": [[1]]}, "must give A, B, C and may give D, K, and B_delayed with delay; got B, C"),
         (lambda p: {}, "got nothing"),
         (lambda p: {**arm(p), "E": [[1]]}, "got A, B, C, E"),
         (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are no parameters: stray"),

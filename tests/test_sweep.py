@@ -29,7 +29,7 @@ SLOW = {**EVERY_AT, "a": 0.01}  # in simulation focus its states are still alive
 
 def case(lengths, window, focus="prediction", values=EVERY_AT):
     """Predictor, its values, blocks, and some window starts that meet nothing."""
-    predictor = build_predictor(EVERY, {}, H, ("zoh", "foh"), focus, [values])
+    predictor = build_predictor(EVERY, {}, H, ("zoh", "foh"), focus)
     theta = np.array([values[q.name] for q in predictor.free])
     data = fit_data([(smooth(n, seed=i), smooth(n, seed=50 + i)) for i, n in enumerate(lengths)])
     blocks = cut(data, predictor, window)
@@ -41,7 +41,7 @@ def windows_of(c):
     """Regressors, outputs of each window and whether another follows in its record."""
     size = c.blocks.length * c.blocks.per_window
     for record in c.data.records:
-        z = c.predictor.regressors(record.inputs, record.outputs)
+        z = c.predictor.regressors(record.inputs, record.outputs, ())
         for first in range(0, record.n_samples, size):
             part = slice(first, first + size)
             yield z[part], record.outputs[part], first + size < record.n_samples
@@ -115,11 +115,12 @@ def test_the_pass_is_what_the_plain_loop_gives(size, weight, focus, values):
 def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
     c = case(*SIZES[size])
     error = residuals(c.predictor.at(c.theta), c.blocks, c.starts)
-    flat = error.transpose(2, 0, 1).reshape(-1, 2)
-    used = c.blocks.used.T.ravel() == 1
-    np.testing.assert_allclose(flat[used], by_hand(c, np.eye(2)).errors, rtol=1e-9, atol=1e-10)
-    assert not flat[~used].any()
-    assert used.sum() == c.data.n_samples == c.blocks.n_samples
+    assert error.shape == c.blocks.y.shape
+    rows = c.blocks.by_piece(error)
+    assert [len(r) for r in rows] == [record.n_samples for record in c.data.records]
+    np.testing.assert_allclose(np.concatenate(rows), by_hand(c, np.eye(2)).errors, rtol=1e-9, atol=1e-10)
+    assert not error.transpose(0, 1, 3, 2)[c.blocks.used == 0].any()
+    assert c.blocks.used.sum() == c.data.n_samples == c.blocks.n_samples
 
 
 @pytest.mark.parametrize("size", ["three records, three lengths", "windows of several blocks"])
@@ -175,7 +176,7 @@ def test_linked_windows_are_single_shooting(window, focus, values):
     many = case((1300,), window, focus, values)
     # States along the one long window are the starts of the short ones.
     size = many.blocks.length * many.blocks.per_window
-    z = single.predictor.regressors(single.data.records[0].inputs, single.data.records[0].outputs)
+    z = single.predictor.regressors(single.data.records[0].inputs, single.data.records[0].outputs, ())
     x, trajectory = single.starts[0], []
     for k in range(1300):
         if k % size == 0:
@@ -202,7 +203,7 @@ def test_the_rotor_in_its_own_units():
     """Positions of micrometres beside velocities and stiffnesses of 1e5: no entry drowns."""
     structure = RotorBearing()
     values = {**KEY, "bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
-    predictor = build_predictor(structure, {}, TS, "foh", "prediction", [values])
+    predictor = build_predictor(structure, {}, TS, "foh", "prediction")
     theta = np.array([values[q.name] for q in predictor.free])
     data = fit_data([(piezo_motion(900), 1e-6 * smooth(900, seed=6))], TS)
     blocks = cut(data, predictor, 250)

@@ -17,12 +17,11 @@ def crossval(
     with guarded(as_json, debug):
         from gbid.cli.documents import crossval_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_crossval, print_json
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages import Job, run_crossval
-        from gbid.report.tables import crossval_table
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.crossval:
@@ -33,5 +32,5 @@ def crossval(
         if as_json:
             print_json({"crossval": documents, "outcomes": outcome_rows(outcomes)})
         elif documents:
-            print_table(crossval_table(documents))
+            print_crossval(documents)
         finish(outcomes, rows)

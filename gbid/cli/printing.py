@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,14 @@ def print_table(*tables: RenderableType) -> None:
         console = Console(highlight=False, width=_PIPE_WIDTH)
     for table in tables:
         console.print(table)
+
+
+def print_crossval(rows: Sequence[Mapping[str, Any]]) -> None:
+    """Print a table for each fit that was cross-validated."""
+    from gbid.report.tables import crossval_table
+
+    for fit in dict.fromkeys(row["fit"] for row in rows):
+        print_table(crossval_table(fit, [dict(row) for row in rows if row["fit"] == fit]), "")
 
 
 def _plain(value: Any) -> Any:

@@ -19,7 +19,7 @@ def run(
 
         from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_crossval, print_json, print_table
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages import (
@@ -31,7 +31,7 @@ def run(
             run_fits,
         )
         from gbid.report.stage import draw_figures
-        from gbid.report.tables import crossval_table, fit_tables, prefilter_table
+        from gbid.report.tables import fit_tables, prefilter_table
 
         loaded = load_experiment(experiment, results)
         with reporting() as reporter:
@@ -63,6 +63,6 @@ def run(
             for document in fits:
                 print_table(fit_tables(f"{document['fit']}, {document['model']}", document))
             if validated:
-                print_table(crossval_table(validated))
+                print_crossval(validated)
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
         finish(outcomes, rows)

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.checks_fits import FIT_CHECKS
+from gbid.experiment.checks_options import OPTION_CHECKS
 from gbid.experiment.load import Experiment
 from gbid.experiment.pairs import validation_pairs
 from gbid.experiment.plan import planned_recordings
@@ -194,6 +195,7 @@ CHECKS: tuple[Check, ...] = (
     data_can_be_read,
     runout_maps_can_be_made,
     *FIT_CHECKS,
+    *OPTION_CHECKS,
     crossval_has_partners,
     figures_show_fits,
 )

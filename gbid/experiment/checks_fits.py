@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 
 from gbid.errors import GbidError
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import Location, nearest
+from gbid.experiment.schema_fits import FitSection
 from gbid.experiment.structures import make_structure
-from gbid.structure import Structure, symbolic_matrices
+from gbid.structure import Parameter, Structure, symbolic_matrices
 
 Found = Iterator[tuple[Location, str]]
 
@@ -38,40 +39,55 @@ def fits_find_recordings(experiment: Experiment) -> Found:
 
 
 def parameters_are_known(experiment: Experiment) -> Found:
-    """Start values, fixed values and bounds belong to parameters of the structure and fit together."""
+    """Names of parameters are those of the structure; start values, fixed values and bounds fit together."""
     for name, section in experiment.spec.fits.items():
-        structure = _structure(experiment, name)
+        structure = structure_or_none(experiment, name)
         if structure is None:
             continue
         known = {q.name: q for q in structure.parameters}
-        for key, given in (("start", section.start), ("fixed", section.fixed), ("bounds", section.bounds)):
-            for parameter in given:
-                if parameter not in known:
+        offsets = [f"offset_{label}" for label in output_labels(experiment, name, structure)] if section.offsets else []
+        given: dict[str, Collection[str]] = {
+            "start": section.start,
+            "fixed": section.fixed,
+            "bounds": section.bounds,
+            "prior": section.prior,
+            "local": section.local,
+        }
+        for key, parameters in given.items():
+            for parameter in parameters:
+                if key == "prior" and parameter.partition("[")[0] in offsets:
+                    continue
+                if (parameter.partition("[")[0] if key == "prior" else parameter) not in known:
                     where = ("fits", name, key, parameter)
                     yield where, f"no parameter of {structure.name}; {nearest(parameter, known)}"
-                elif key != "fixed" and parameter in section.fixed:
+                elif key != "fixed" and parameter.partition("[")[0] in section.fixed:
                     yield ("fits", name, key, parameter), "the parameter is fixed; remove one of the two"
-        for parameter, (low, high) in section.bounds.items():
-            where = ("fits", name, "bounds", parameter)
-            lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
-            if not lower < upper:
-                yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}"
-            elif parameter in known:
-                start = section.start.get(parameter, known[parameter].start)
-                if start is not None and not lower <= start <= upper:
-                    yield where, f"the bounds exclude the start value {start:g}; widen them or give another start"
-        for parameter, start in section.start.items():
-            if parameter in known and parameter not in section.bounds:
-                lower, upper = known[parameter].lower, known[parameter].upper
-                if not lower <= start <= upper:
-                    where = ("fits", name, "start", parameter)
-                    yield where, f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
+        yield from _bounds_hold(name, section, known)
+
+
+def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
+    """Bounds are in order and hold the start values."""
+    for parameter, (low, high) in section.bounds.items():
+        where = ("fits", name, "bounds", parameter)
+        lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
+        if not lower < upper:
+            yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}"
+        elif parameter in known:
+            start = section.start.get(parameter, known[parameter].start)
+            if start is not None and not lower <= start <= upper:
+                yield where, f"the bounds exclude the start value {start:g}; widen them or give another start"
+    for parameter, start in section.start.items():
+        if parameter in known and parameter not in section.bounds:
+            lower, upper = known[parameter].lower, known[parameter].upper
+            if not lower <= start <= upper:
+                where = ("fits", name, "start", parameter)
+                yield where, f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
 
 
 def signals_are_there(experiment: Experiment) -> Found:
     """Each recording of a fit has the signals and channels that the fit needs."""
     for name, section in experiment.spec.fits.items():
-        structure = _structure(experiment, name)
+        structure = structure_or_none(experiment, name)
         if structure is None:
             continue
         for key, given, own in (
@@ -95,12 +111,26 @@ def _missing(experiment: Experiment, fit: str, wanted: str) -> Iterator[str]:
             return
 
 
-def _structure(experiment: Experiment, fit: str) -> Structure | None:
+def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
     """Return the structure, None when another check complains of it."""
     try:
         return make_structure(experiment, fit)
     except GbidError:
         return None
+
+
+def output_labels(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
+    """Names of the output channels of a fit, as ``p_x``; empty when its first recording does not have them."""
+    labels: list[str] = []
+    planned = experiment.fit_recordings(fit)
+    for wanted in experiment.spec.fits[fit].outputs or structure.outputs:
+        signal, _, channel = wanted.partition(".")
+        there = planned[0].signals.get(signal, ()) if planned else ()
+        if not there:
+            return []
+        picked = [channel] if channel else there
+        labels += [f"{signal}_{name}" if len(there) > 1 else signal for name in picked]
+    return labels
 
 
 FIT_CHECKS: tuple[Callable[[Experiment], Found], ...] = (

@@ -16,7 +16,7 @@ from gbid.errors import UsageError
 from gbid.experiment.plan import PlannedRecording, planned_recordings
 from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
 from gbid.experiment.schema import ExperimentFile
-from gbid.lpv.yaml_file import YamlFile, read_yaml
+from gbid.yaml_file import YamlFile, read_yaml
 
 
 @dataclass(frozen=True, eq=False)

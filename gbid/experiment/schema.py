@@ -4,15 +4,26 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict
+from pydantic import BeforeValidator, Field, Strict
 
+from gbid.experiment.fields import (
+    Count,
+    CountOrZero,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    Pair,
+    Positive,
+    Section,
+    Switch,
+    Text,
+    TwoRows,
+)
+from gbid.experiment.schema_fits import FitSection
 from gbid.rig import Prbs, SensorChain, Unbalance
 
 _PRBS, _SENSORS, _UNBALANCE = Prbs(), SensorChain(), Unbalance()
-
-
-def _as_list(value: Any) -> Any:
-    return [value] if isinstance(value, str) else value
 
 
 def _given(value: Any) -> Any:
@@ -21,40 +32,8 @@ def _given(value: Any) -> Any:
     return value
 
 
-def _window(value: Any) -> Any:
-    if value == "one":
-        return None
-    if not isinstance(value, int) or isinstance(value, bool) or value < 2:
-        raise ValueError(
-            f"expected a number of samples, at least 2, or the word one (single shooting), found {value!r}"
-        )
-    return value
-
-
 def _rows(array: Any) -> Any:
     return tuple(tuple(row) for row in array.tolist())
-
-
-Number = Annotated[float, Strict(), AllowInfNan(False)]
-Positive = Annotated[float, Strict(), AllowInfNan(False), Field(gt=0)]
-NotNegative = Annotated[float, Strict(), AllowInfNan(False), Field(ge=0)]
-Count = Annotated[int, Strict(), Field(ge=1)]
-CountOrZero = Annotated[int, Strict(), Field(ge=0)]
-Switch = Annotated[bool, Strict()]
-Text = Annotated[str, Field(min_length=1)]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
-"""A name that also names files."""
-Names = Annotated[tuple[Text, ...], BeforeValidator(_as_list), Field(min_length=1)]
-"""One or several names; a single one needs no list."""
-Pair = tuple[Number, Number]
-TwoRows = tuple[tuple[Number, ...], tuple[Number, ...]]
-Holds = Annotated[tuple[Literal["zoh", "foh"], ...], BeforeValidator(_as_list), Field(min_length=1)]
-
-
-class Section(BaseModel):
-    """A block of keys: unknown ones are refused, values do not change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
 
 class OperatingPoint(Section):
@@ -161,33 +140,6 @@ class PrefilterSection(Section):
     remove_mean: Switch = True
 
 
-class StructureOptions(Section):
-    """Choices of a built-in structure."""
-
-    pade_order: Count | None = None
-    disturbance_gain: Literal["full", "diagonal", "none"] | None = None
-
-
-class FitSection(Section):
-    """One fit of a structure, to each recording or to all together; see `gbid.fit`."""
-
-    structure: Text
-    options: StructureOptions = StructureOptions()
-    recordings: Names | None = None
-    together: Switch = False
-    inputs: Names | None = None
-    outputs: Names | None = None
-    focus: Literal["prediction", "simulation"] = "prediction"
-    intersample: Holds | None = None
-    criterion: Literal["trace", "det"] = "trace"
-    window: Annotated[int | None, BeforeValidator(_window)] = 500
-    stop: Literal["tolerance", "paper"] = "tolerance"
-    max_iterations: Count = 100
-    start: dict[Text, Number] = Field(default_factory=dict)
-    fixed: dict[Text, Number] = Field(default_factory=dict)
-    bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)
-
-
 class CrossvalSection(Section):
     """On which recordings the models of a fit are validated (paper, Sec. 3.8)."""
 
@@ -196,10 +148,11 @@ class CrossvalSection(Section):
 
 
 class FigureSection(Section):
-    """The part of the recording that the picture shows."""
+    """The part of the recording that the picture shows, and whether one of the residuals is drawn beside it."""
 
     from_s: NotNegative | None = None
     to_s: Positive | None = None
+    residuals: Switch = False
 
 
 class ExperimentFile(Section):

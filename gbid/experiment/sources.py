@@ -12,7 +12,7 @@ from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.schema import ImportedSection
 from gbid.experiment.structures import true_parameters
 from gbid.lpv import LPVModel
-from gbid.rig import ActuatorTruth, Machine, Prbs, RotorBearingTruth, SensorChain, Stationary, Unbalance
+from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance
 
 
 def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
@@ -25,12 +25,11 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     """
     rig = experiment.spec.rig
     assert rig is not None
-    p = true_parameters(model, planned)
-    stiffness, damping, gain = (np.array([[p[f"{q}_xx"], p[f"{q}_xy"]], [p[f"{q}_yx"], p[f"{q}_yy"]]]) for q in "kdb")
+    true = true_parameters(model, planned)
     sensors = rig.sensors
-    return Machine(
-        RotorBearingTruth(stiffness, damping, gain, delay=_both(p, "tau")),
-        ActuatorTruth(slow_pole=_both(p, "p1"), fast_pole=_both(p, "p2"), gain=_both(p, "kappa")),
+    return Machine.from_parameters(
+        true,
+        true,
         Unbalance(rig.unbalance.eccentricity_m, rig.unbalance.phase_rad),
         SensorChain(
             noise_p=sensors.noise_p_m,
@@ -65,7 +64,3 @@ def mapping_of(entry: ImportedSection) -> dict[str, Any]:
     for signal in mapping["signals"].values():
         del signal["rests_at_limits"]
     return mapping
-
-
-def _both(p: dict[str, float], name: str) -> Any:
-    return np.array([p[f"{name}_x"], p[f"{name}_y"]])

@@ -14,7 +14,7 @@ from gbid.errors import UsageError
 from gbid.experiment.load import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.problems import nearest
-from gbid.experiment.schema import StructureOptions
+from gbid.experiment.schema_fits import StructureOptions
 from gbid.lpv import LPVModel, load_model
 from gbid.share import share_folder
 from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, Structure, evaluate, load_structure
@@ -32,10 +32,12 @@ def _plant(options: dict[str, Any]) -> Structure:
     return Plant(RotorBearing(**options))
 
 
+_OF_BEARING = ("delay", "pade_order", "disturbance_gain")
+
 BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]]] = {
-    "rotor_bearing": (_rotor_bearing, ("pade_order", "disturbance_gain")),
+    "rotor_bearing": (_rotor_bearing, _OF_BEARING),
     "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
-    "plant": (_plant, ("pade_order", "disturbance_gain")),
+    "plant": (_plant, _OF_BEARING),
 }
 """Structures that come with gbid: how each is built, and which options it has."""
 
@@ -55,6 +57,8 @@ def make_structure(experiment: Experiment, fit: str) -> Structure:
         unknown = [key for key in options if key not in known]
         if unknown:
             raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}")
+        if options.get("delay") == "exact" and "pade_order" in options:
+            raise UsageError("option pade_order is for delay: pade; remove one of the two")
         return build(options)
     if ":" not in spec.structure:
         hint = nearest(spec.structure, BUILT_IN)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
@@ -16,8 +17,7 @@ from gbid.identify.data import FitData, Record
 from gbid.identify.engine import EngineName, choose_engine
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
 from gbid.identify.shooting import Part
-from gbid.structure import Parameter, Structure
-import itertools
+from gbid.structure import Parameter, Structure, evaluate
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -99,6 +99,8 @@ def assemble(
     unknown = [name for name in scopes if name not in [q.name for q in predictor.free]]
     if unknown:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
+    if scopes or left_out:
+        _check_names(data)
     record_names = tuple(_full_names(predictor, record, scopes, len(data.records)) for record in data.records)
     free = _all_free(predictor, record_names)
     position = {q.name: i for i, q in enumerate(free)}
@@ -141,6 +143,17 @@ def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -
             f"structure {structure.name!r} has {predictor.n_inputs} inputs and {predictor.n_outputs} outputs; "
             f"the recordings give {n_inputs} ({', '.join(data.input_names)}) and {n_outputs} "
             f"({', '.join(data.output_names)})"
+        )
+
+
+def _check_names(data: FitData) -> None:
+    """Refuse recordings of one name where options tell them apart by it."""
+    names = [record.name for record in data.records]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(
+            f"several recordings are named {twice[0]!r}; local parameters, offsets and left_out tell recordings apart "
+            "by name, so give each its own"
         )
 
 
@@ -230,12 +243,30 @@ def automatic_window(data: FitData, focus: Focus) -> int:
     return -(-n // count)
 
 
-def full_start(assembly: Assembly, begin: Mapping[str, float]) -> dict[str, float]:
-    """Start values under full names: every group of a local parameter starts alike, offsets at zero."""
+def full_start(
+    assembly: Assembly, begin: Mapping[str, float], offsets: Sequence[Mapping[str, float]] = ()
+) -> dict[str, float]:
+    """Start values under full names: every group of a local parameter starts alike, `offsets` for each record."""
     full = dict(begin)
-    for names in assembly.record_names:
-        full |= {long: begin.get(short, 0.0) for short, long in names.items()}
+    for i, names in enumerate(assembly.record_names):
+        own = {**begin, **(offsets[i] if offsets else {})}
+        full |= {long: own.get(short, 0.0) for short, long in names.items()}
     return full
+
+
+def offset_starts(
+    structure: Structure, begin: Mapping[str, float], data: FitData, intersample: Hold | Sequence[Hold]
+) -> list[dict[str, float]]:
+    """Start values of each record's offsets: what the model at its start leaves of the outputs on average."""
+    starts = []
+    for record in data.records:
+        model = evaluate(structure, begin)
+        simulated = model.simulate(record.inputs, data.sample_time, intersample=intersample)
+        left = np.median(record.outputs - simulated, axis=0)
+        if not np.isfinite(left).all():  # an unstable start
+            left = np.median(record.outputs, axis=0)
+        starts.append({f"offset_{name}": float(v) for name, v in zip(data.output_names, left, strict=True)})
+    return starts
 
 
 class _Builder:

@@ -95,7 +95,7 @@ def _compiler() -> tuple[list[str], str]:
 
 @cache
 def _processor() -> str:
-    """What the processor can do, so that a cache shared by several machines serves each its own."""
+    """Describe the processor, so that a cache shared by several machines serves each its own."""
     info = Path("/proc/cpuinfo")
     flags = ""
     if info.is_file():

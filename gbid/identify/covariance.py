@@ -16,7 +16,8 @@ from gbid.identify.whiteness import correlation_length
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
-_BLOCK = 64  # samples whose scores are summed before they are correlated
+_BLOCKS = 64  # the least number of blocks, within which scores are summed before they are correlated
+_SHORTEST, _LONGEST = 8, 64  # samples in such a block
 
 
 class Covariance(NamedTuple):
@@ -86,7 +87,8 @@ def covariance(
     n_all = n_p + len(record_window) * problem.n_states
     weight = problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
-    fine = _by_piece(problem)
+    block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
+    fine = _by_piece(problem, block)
     first = _information(problem, fine, theta, starts, record_window, weight, scores=True)
     shaped = weight @ (error_products / freedom) @ weight
     second = _information(problem, fine, theta, starts, record_window, shaped)
@@ -98,7 +100,7 @@ def covariance(
     kept = np.ix_(keep, keep)
     H = (first.hessian + np.diag(known))[kept]
     J_white = (second.hessian + np.diag(known * unit))[kept]
-    lag = max(1, round(3 * correlation_length(errors) / _BLOCK))
+    lag = max(1, round(3 * correlation_length(errors) / block))
     J_robust = _long_run([scores[:, keep] for scores in first.scores], lag) + np.diag(known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
@@ -132,10 +134,10 @@ class _Information(NamedTuple):
     scores: list[FloatArray]  # per record, (n_blocks, n_all): gradient of each block
 
 
-def _by_piece(problem: Shooting) -> list[_Fine]:
+def _by_piece(problem: Shooting, block: int) -> list[_Fine]:
     fine = []
     for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
-        blocks = cut(part.blocks.pieces, part.predictor, None, longest_block=_BLOCK)
+        blocks = cut(part.blocks.pieces, part.predictor, None, longest_block=block)
         fine.append(_Fine(replace(part, blocks=blocks), first + part.blocks.piece_first))
     return fine
 
@@ -190,7 +192,7 @@ def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[Floa
     """Carry sensitivities from piece to piece of a record, over the stretches that are left out."""
     piece_of = {}
     last_window = {}
-    for k, (part, windows, *_) in enumerate(passes):
+    for k, (_, windows, *_) in enumerate(passes):
         original = problem.parts[k].blocks
         ends = np.append(original.piece_first[1:], original.n_windows) - 1 + problem.first_window[k]
         for i, window in enumerate(windows):

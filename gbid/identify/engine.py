@@ -89,6 +89,7 @@ class CompiledEngine:
     def __call__(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
     ) -> BlockSums:
+        """Run the pass; see `Engine`."""
         met = pattern_of(v)
         if not self._pattern.covers(met):
             self._build(self._pattern.union(met))

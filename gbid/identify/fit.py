@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.discretise import Hold
 from gbid.errors import UsageError
-from gbid.identify.assembly import Scope, assemble, automatic_window, full_start
+from gbid.identify.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.data import FitData, gather
 from gbid.identify.engine import EngineName
 from gbid.identify.outcome import outcome
@@ -122,7 +122,7 @@ def fit(
     out_names = as_names(structure.outputs if outputs is None else outputs)
     hold = structure.intersample if intersample is None else intersample
     parameters = _with_options(structure.parameters, start or {}, fixed or {}, bounds or {})
-    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 10 + horizon)
+    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
 
     stated = {q.name: q.start for q in parameters if q.start is not None}
     begin = _within(parameters, start_values(structure, data, stated), set(stated))
@@ -154,7 +154,7 @@ def fit(
             window=samples,
             engine=engine,
         )
-        full = full_start(assembly, begin)
+        full = full_start(assembly, begin, offset_starts(structure, begin, data, hold) if offsets else ())
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         first = np.clip(unknowns, lower, upper)

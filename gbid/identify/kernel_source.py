@@ -45,7 +45,7 @@ class KernelPattern:
         return KernelPattern(*(mine | theirs for mine, theirs in zip(self.arrays(), other.arrays(), strict=True)))
 
     def arrays(self) -> tuple[BoolArray, ...]:
-        """The patterns in order."""
+        """Return the patterns in order."""
         return (self.F, self.G, self.C, self.H, self.dF, self.dG, self.dC, self.dH)
 
 
@@ -105,10 +105,7 @@ def _outputs(p: KernelPattern) -> list[str]:
 
 def _state(p: KernelPattern) -> list[str]:
     n, n_z = p.G.shape
-    lines = [
-        f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)
-    ]
-    return lines
+    return [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
 
 
 def _sensitivity(p: KernelPattern, i: int) -> list[str]:

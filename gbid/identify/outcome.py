@@ -68,6 +68,7 @@ def outcome(
     if not (np.isfinite(products).all() and np.isfinite(theta).all()):
         success, status = False, _OVERFLOW
     by_record = _by_record(problem, errors, assembly)
+    counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
     on_bound = _on_bound(free, theta, problem.theta_scale)
     found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
     white = whiteness_test(by_record)
@@ -105,7 +106,7 @@ def outcome(
         initial_states=starts[assembly.record_window],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
-        fit_percent=_fit_percent(data, by_record, int(options["horizon"])),
+        fit_percent=_fit_percent(data, by_record, counted, int(options["horizon"])),
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=found.condition,
@@ -196,7 +197,7 @@ def _notes(
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in free])
     notes = [f"{name} lies on a bound: no standard deviation" for name in names[on_bound]]
-    notes += [_undetermined(direction, names, np.array([begin[n] for n in names])) for direction in found.undetermined]
+    notes += [_undetermined(direction, names) for direction in found.undetermined]
     if trusted == "robust":
         notes.append(
             "the residuals are not white: standard deviations are the robust ones, and do not cover what the "
@@ -209,7 +210,7 @@ def _notes(
     return (*notes, *assembly.notes)
 
 
-def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_], size: FloatArray) -> str:
+def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_]) -> str:
     """Say which parameters a direction without information holds, and what of them is determined."""
     strong = np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
     involved = ", ".join(names[strong])
@@ -238,7 +239,7 @@ def _standard_deviations(
 def _propagated(
     problem: Shooting, theta: FloatArray, chosen: FloatArray, model: LinearModel
 ) -> tuple[FloatArray, FloatArray]:
-    """Standard deviations of modes and static gain of the first part's model."""
+    """Propagate the covariance to modes and static gain of the first part's model."""
     part = problem.parts[0]
     A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
     own = chosen[np.ix_(part.index, part.index)]
@@ -252,9 +253,9 @@ def _propagated(
     return spread(slopes, own), gain_std
 
 
-def _fit_percent(data: FitData, errors: list[FloatArray], horizon: int) -> FloatArray:
+def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray], horizon: int) -> FloatArray:
     rows = []
-    for record, e in zip(data.records, errors, strict=True):
-        y = record.outputs[horizon - 1 :]
+    for record, e, used in zip(data.records, errors, counted, strict=True):
+        y = record.outputs[horizon - 1 :][used[:, 0] > 0]
         rows.append(100 * (1 - np.linalg.norm(e, axis=0) / np.linalg.norm(y - y.mean(0), axis=0)))
     return np.array(rows)

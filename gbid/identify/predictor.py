@@ -65,6 +65,8 @@ class Predictor:
     ----------
     free : tuple of Parameter
         The parameters to be estimated, in order.
+    noise : tuple of int
+        Those of them, by position, that only the disturbance gain depends on.
     unused : tuple of str
         Parameters that this focus does not see (the disturbance gain in simulation focus).
     n_states, n_inputs, n_outputs : int
@@ -83,6 +85,7 @@ class Predictor:
     """
 
     free: tuple[Parameter, ...]
+    noise: tuple[int, ...]
     unused: tuple[str, ...]
     n_states: int
     n_inputs: int
@@ -258,8 +261,10 @@ def build_predictor(
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = sorted({*_driven(m.B), *_driven(m.D)})
+    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, m.B_delayed, m.delay))}
     return Predictor(
         free=(*free, *(Parameter(name, 0.0) for name in offset_names)),
+        noise=tuple(i for i, q in enumerate(free) if q.name not in moves),
         unused=unused,
         n_states=n,
         n_inputs=n_u,

@@ -97,6 +97,8 @@ def unknown_bounds(problem: Shooting, assembly: Assembly, initial_state: Initial
         given = np.asarray(initial_state, float)
     if given.shape != (problem.n_states,):
         raise UsageError(f"initial_state has shape {given.shape}; the structure has {problem.n_states} states")
+    if not np.isfinite(given).all():
+        raise UsageError(f"initial_state = {initial_state}; it must be finite")
     for window in assembly.record_window:
         first = problem.n_theta + int(window) * problem.n_states
         place = slice(first, first + problem.n_states)

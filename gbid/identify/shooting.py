@@ -23,6 +23,8 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
+_DIFFERENCE = 1e-4  # step of a difference, in units in which the cost has curvature one
+_MOST_DIFFERENCES = 8  # columns; with more, as for gains local to many recordings, they cost more than they save
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,6 +221,39 @@ class Shooting:
             self._last.clear()
             self._last[key] = iterate
         return self._last[key]
+
+    def hessian(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Hessian of the Lagrangian, entries where `hessian_pattern` has them.
+
+        Gauss-Newton, but for the parameters of the disturbance gain: what these do to the predictions is made of
+        the errors themselves, so the second derivatives that Gauss-Newton leaves out are as large as what it
+        keeps. Their columns come from differences of the gradient, one pass each.
+        """
+        entries = lam_f * self.at(unknowns).hessian
+        if not self.noise or len(self.noise) > _MOST_DIFFERENCES:
+            return entries
+        here = self._lagrangian_gradient(self.at(unknowns), lam_f, lam_gaps)
+        rows, columns = self.hessian_pattern.rows, self.hessian_pattern.columns
+        for j in self.noise:
+            there = unknowns.copy()
+            there[j] += _DIFFERENCE
+            slope = (self._lagrangian_gradient(self._evaluate(there), lam_f, lam_gaps) - here) / _DIFFERENCE
+            if not np.isfinite(slope).all():
+                continue
+            in_column, in_row = columns == j, rows == j
+            entries[in_column] = slope[rows[in_column]]
+            entries[in_row] = slope[columns[in_row]]
+        return entries
+
+    @cached_property
+    def noise(self) -> tuple[int, ...]:
+        """Parameters that only disturbance gains depend on."""
+        return tuple(sorted({int(part.index[i]) for part in self.parts for i in part.predictor.noise}))
+
+    def _lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        pattern = self.jacobian_pattern
+        weighted = iterate.jacobian * lam_gaps[pattern.rows]
+        return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))
 
     @cached_property
     def jacobian_pattern(self) -> Pattern:

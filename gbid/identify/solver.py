@@ -20,6 +20,8 @@ Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
+_NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
+_NEAR_GAP = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
 _WORDS = {
@@ -126,8 +128,14 @@ def solve(
     point = [("x", vector), ("p", empty)]
     multipliers = [("lam_f", scalar), ("lam_g", gaps)]
 
+    def flat(values: ca.DM) -> FloatArray:
+        return np.asarray(values, float).ravel()
+
+    def curvature(x: FloatArray, lam_f: float, lam_g: FloatArray) -> FloatArray:
+        return problem.hessian(x, lam_f, lam_g) if watch.near else lam_f * problem.at(x).hessian
+
     def at(x: ca.DM) -> Iterate:
-        return problem.at(np.asarray(x, float).ravel())
+        return problem.at(flat(x))
 
     def column(values: FloatArray) -> ca.DM:
         return ca.DM(gaps, values)
@@ -145,12 +153,11 @@ def solve(
         [("g", gaps), ("jac_g_x", jacobian)],
         lambda x, _p: [column(at(x).gaps), ca.DM(jacobian, at(x).jacobian)],
     )
-    # Gauss-Newton: the curvature of the gaps is left out, so only the cost's multiplier enters.
     hess = _Oracle(
         "hess_lag",
         point + multipliers,
         [("triu_hess_gamma_x_x", hessian)],
-        lambda x, _p, lam_f, _g: [ca.DM(hessian, float(lam_f) * at(x).hessian)],
+        lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)))],
     )
     watch = _Watch(problem, stop, progress, n, m)
     x = ca.MX.sym("x", n)
@@ -262,6 +269,7 @@ class _Watch(ca.Callback):
         self.settled = False
         self.exact = False
         self.at_rest = False
+        self.near = False
         self._previous: FloatArray | None = None
         self._sigma = np.inf
         self.construct("watch", {})
@@ -297,6 +305,7 @@ class _Watch(ca.Callback):
         # Twice running: a step may be small by chance, where the solver has just cut it.
         small = self._stop == "tolerance" and max(sigma, self._sigma) < _STEP_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.at_rest = small
+        self.near = self.near or (sigma < _NEAR and now.gap < _NEAR_GAP)
         self._previous, self._sigma = x, sigma
         return [int(self.interrupted or self.settled or self.exact or self.at_rest)]
 

@@ -73,16 +73,26 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
 
 
 def correlation_length(errors: list[FloatArray]) -> int:
-    """Count the samples over which residuals remember: to the last lag whose autocorrelation leaves its band."""
+    """Count the samples over which residuals remember: to the lag after which the autocorrelation stays in its band.
+
+    The band is Bartlett's, which widens with the correlation before a lag: estimated autocorrelations of coloured
+    residuals are coloured themselves, and wander far outside of the band of white ones.
+    """
     longest = 1
-    for e in errors:
+    for e in (record - record.mean(0) for record in errors):
         n = len(e)
         most = min(n // 10, 2000)
         if most < 2:
             continue
         for j in range(e.shape[1]):
-            rho = np.abs(correlation(e[:, j], e[:, j], most)[1:])
+            rho = correlation(e[:, j], e[:, j], most)[1:]
+            variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
             # Smoothed over a few lags: one of thousands leaves its band by chance.
-            outside = np.convolve(rho, np.ones(5) / 5, "same") > 3.3 / np.sqrt(n)
-            longest = max(longest, int(np.flatnonzero(outside)[-1]) + 1 if outside.any() else 1)
+            outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1
+            reach = 0
+            for lag in outside:
+                if lag > 2 * reach + 50:  # silent for longer than it spoke: chance
+                    break
+                reach = int(lag)
+            longest = max(longest, reach)
     return longest

@@ -11,8 +11,8 @@ from gbid.hdf5 import atomic_path
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model import LPVModel
 from gbid.lpv.model_file import SCHEMA_VERSION, SI_UNITS, parse
-from gbid.lpv.yaml_file import read_yaml, write_yaml
 from gbid.share import share_folder
+from gbid.yaml_file import read_yaml, write_yaml
 
 
 def load_model(name_or_path: str | Path) -> LPVModel:

@@ -21,8 +21,8 @@ from gbid.lpv.tables import (
     Quantity,
     ReferenceModes,
 )
-from gbid.lpv.yaml_file import YamlFile
 from gbid.structure import KEY_PARAMETERS
+from gbid.yaml_file import YamlFile
 
 SCHEMA_VERSION = 1
 SI_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}

@@ -94,7 +94,7 @@ def plot_response(
         scale, label = _shown_unit(unit)
         axes[i].plot(time, scale * validation.measured[shown, i], label="measured", **_MEASURED)
         axes[i].plot(time, scale * validation.simulated[shown, i], label="simulated", **_SIMULATED)
-        axes[i].set_ylabel(f"{_symbol(name)} [{label}]")
+        axes[i].set_ylabel(f"{symbol(name)} [{label}]")
         axes[i].set_title(f"fit {validation.fit_percent[i]:.1f} %", loc="right", pad=3)
     if len(axes) > n_outputs and validation.input_names:
         _plot_inputs(validation, axes[n_outputs], shown)
@@ -129,10 +129,10 @@ def _plot_inputs(validation: Validation, ax: Axes, shown: npt.NDArray[np.bool_])
     scale, label = _shown_unit(validation.input_units[0])
     for i, name in enumerate(validation.input_names):
         style = _INPUTS[i % len(_INPUTS)]
-        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=_symbol(name), **style)
+        ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=symbol(name), **style)
     if len(validation.input_names) > 1:
         _legend_above(ax)
-    ax.set_ylabel(f"{', '.join(_symbol(name) for name in validation.input_names)} [{label}]")
+    ax.set_ylabel(f"{', '.join(symbol(name) for name in validation.input_names)} [{label}]")
 
 
 def _legend_above(ax: Axes) -> None:
@@ -159,7 +159,8 @@ def _shown_unit(unit: str) -> tuple[float, str]:
     return (1e6, "µm") if unit == "m" else (1.0, unit or "-")
 
 
-def _symbol(name: str) -> str:
+def symbol(name: str) -> str:
+    """Write the name of a channel as the paper does: ``p_x`` with an index."""
     letter, _, index = name.partition("_")
     if len(letter) == 1 and "_" not in index:
         return f"${letter}_{{{index}}}$" if index else f"${letter}$"

@@ -25,6 +25,17 @@ def exponent_of(value: float) -> int:
     return 3 * floor(log10(abs(value)) / 3)
 
 
+def probability(p: float) -> str:
+    """Write a probability with two digits; one that is next to nothing as such.
+
+    Examples
+    --------
+    >>> probability(0.2345), probability(3e-145)
+    ('p = 0.23', 'p < 1e-16')
+    """
+    return f"p = {p:.2g}" if p >= 1e-16 else "p < 1e-16"
+
+
 def engineering(value: float | None, digits: int = 5, exponent: int | None = None) -> str:
     """Write a number with so many significant digits and an exponent in steps of three.
 

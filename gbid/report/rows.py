@@ -27,10 +27,12 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
     Returns
     -------
     list of dict
-        parameter, estimate, std, truth, deviation_std (in standard deviations), deviation_percent, unit, fixed.
-        What is not known is None; so is the standard deviation of a parameter that has none.
+        parameter, estimate, std (the one to trust), std_white, std_robust, truth, deviation_std (in standard
+        deviations), deviation_percent, unit, fixed, start, start_origin. What is not known is None; so is the
+        standard deviation of a parameter that has none.
     """
     rows = []
+    white, robust = result.std_with("white"), result.std_with("robust")
     for name, estimate in result.parameters.items():
         std, true = result.std[name], truth.get(name)
         off = None if true is None else estimate - true
@@ -38,20 +40,24 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
             {
                 "parameter": name,
                 "estimate": estimate,
-                "std": std if np.isfinite(std) else None,
+                "std": _known(std),
+                "std_white": _known(white[name]),
+                "std_robust": _known(robust[name]),
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
                 "unit": result.units[name],
                 "fixed": name not in result.free,
+                "start": result.start[name],
+                "start_origin": result.start_origin[name],
             }
         )
     return rows
 
 
-def mode_rows(model: LinearModel, truth: LinearModel | None) -> list[Row]:
-    """Natural frequencies and damping factors with their true values, by rising frequency."""
-    modes = model.modes()
+def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """Natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    modes = result.model.modes()
     true = truth.modes() if truth is not None else []
     if len(true) != len(modes):
         true = []
@@ -59,7 +65,9 @@ def mode_rows(model: LinearModel, truth: LinearModel | None) -> list[Row]:
         {
             "mode": i + 1,
             "frequency_hz": frequency,
+            "frequency_std_hz": _known(result.modes_std[i, 0]),
             "damping": damping,
+            "damping_std": _known(result.modes_std[i, 1]),
             "true_frequency_hz": true[i][0] if true else None,
             "true_damping": true[i][1] if true else None,
         }
@@ -67,8 +75,9 @@ def mode_rows(model: LinearModel, truth: LinearModel | None) -> list[Row]:
     ]
 
 
-def gain_rows(model: LinearModel, truth: LinearModel | None) -> list[Row]:
-    """List static gains with their true values; none for a model that integrates."""
+def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
+    """List static gains with standard deviations and true values; none for a model that integrates."""
+    model = result.model
     try:
         gain = model.static_gain()
     except UsageError:
@@ -79,6 +88,7 @@ def gain_rows(model: LinearModel, truth: LinearModel | None) -> list[Row]:
             "output": output,
             "input": source,
             "gain": float(gain[i, j]),
+            "std": _known(result.static_gain_std[i, j]),
             "truth": None if true is None else float(true[i, j]),
         }
         for i, output in enumerate(model.output_names)
@@ -93,6 +103,23 @@ def fit_percent_rows(result: FitResult) -> list[Row]:
         for i, recording in enumerate(result.recordings)
         for j, output in enumerate(result.model.output_names)
     ]
+
+
+def whiteness_rows(result: FitResult) -> list[Row]:
+    """How white the residuals of each output are."""
+    return [
+        {"output": output, "p_value": _known(p)}
+        for output, p in zip(result.model.output_names, result.whiteness, strict=True)
+    ]
+
+
+def multi_start_row(result: FitResult) -> Row | None:
+    """Tell how the fits from other starts ended; None when there was one start."""
+    if "starts" not in result.options:
+        return None
+    told = {key: result.options[f"starts_{key}"] for key in ("seed", "converged", "agreed", "spread")}
+    counts = {key: int(told[key]) for key in ("seed", "converged", "agreed")}
+    return {"starts": int(result.options["starts"]), **counts, "spread": _known(float(told["spread"]))}
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
@@ -124,10 +151,20 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "iterations": result.iterations,
         "wall_time_s": result.wall_time_s,
         "loss": result.loss,
+        "aic": _known(result.aic),
+        "fpe": _known(result.fpe),
+        "condition": _known(result.condition),
+        "trusted": result.trusted,
+        "whiteness": whiteness_rows(result),
+        "multi_start": multi_start_row(result),
         "options": dict(result.options),
         "parameters": parameter_rows(result, truth),
-        "modes": mode_rows(result.model, true_model),
-        "static_gain": gain_rows(result.model, true_model),
+        "modes": mode_rows(result, true_model),
+        "static_gain": gain_rows(result, true_model),
         "fit_percent": fit_percent_rows(result),
         "notes": list(result.notes),
     }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from math import floor, log10
 
 from rich import box
 from rich.console import Group
@@ -11,6 +12,7 @@ from rich.text import Text
 
 from gbid.report.numbers import engineering, exponent_of, shown_unit
 from gbid.report.rows import Row
+from gbid.report.summary import summary_lines
 
 
 def fit_tables(title: str, document: Row) -> Group:
@@ -22,26 +24,26 @@ def fit_tables(title: str, document: Row) -> Group:
     document : dict
         From `gbid.report.rows.fit_document`.
     """
-    parts: list[Table | Text] = [parameter_table(title, document["parameters"]), Text("")]
+    parts: list[Table | Text] = [parameter_table(title, document["parameters"], document["trusted"]), Text("")]
     if document["modes"]:
         parts += [mode_table(document["modes"]), Text("")]
     if document["static_gain"]:
         parts += [gain_table(document["static_gain"]), Text("")]
-    parts += [Text(f" {line}") for line in summary_lines(document)]
-    return Group(*parts, Text(""))
+    return Group(*parts, summary_table(summary_lines(document)), Text(""))
 
 
-def parameter_table(title: str, rows: Sequence[Row]) -> Table:
+def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
     """Estimates, standard deviations and truth; each row in one power of ten."""
     with_truth = any(row["truth"] is not None for row in rows)
-    columns = ["parameter", "estimate", "std", *(["truth", "off by", "in std"] if with_truth else []), "unit"]
-    table = _table(title, columns, left=("parameter", "unit"))
+    truth = ["truth", "off by", "in std"] if with_truth else []
+    table = _table(title, ["parameter", "estimate", f"std\n({trusted})", *truth, "unit"], left=("parameter", "unit"))
     for row in rows:
         factor, unit = shown_unit(row["unit"])
         estimate = factor * row["estimate"]
-        exponent = exponent_of(estimate)
+        spread = factor * (row["std"] or 0.0)
+        exponent = exponent_of(max(abs(estimate), spread))
         std = "fixed" if row["fixed"] else engineering(_times(factor, row["std"]), 2, exponent)
-        cells = [row["parameter"], engineering(estimate, 5, exponent), std]
+        cells = [row["parameter"], engineering(estimate, _digits(estimate, spread), exponent), std]
         if with_truth:
             percent, deviation = row["deviation_percent"], row["deviation_std"]
             cells += [
@@ -56,42 +58,49 @@ def parameter_table(title: str, rows: Sequence[Row]) -> Table:
 def mode_table(rows: Sequence[Row]) -> Table:
     """Natural frequencies and damping factors."""
     with_truth = any(row["true_frequency_hz"] is not None for row in rows)
-    truth = ("truth [Hz]", "damping", "truth") if with_truth else ("damping",)
-    table = _table("", ["mode", "frequency [Hz]", *truth], left=("mode",))
+    truth = ["truth"] if with_truth else []
+    table = _table("", ["mode", "frequency\n[Hz]", "std", *truth, "damping\nfactor", "std", *truth], left=("mode",))
     for row in rows:
-        cells = [str(row["mode"]), f"{row['frequency_hz']:.2f}"]
-        cells += [f"{row['true_frequency_hz']:.2f}"] if with_truth else []
-        cells += [f"{row['damping']:.4f}"]
-        cells += [f"{row['true_damping']:.4f}"] if with_truth else []
+        cells = [str(row["mode"])]
+        for key, std, true, least in (
+            ("frequency_hz", "frequency_std_hz", "true_frequency_hz", 2),
+            ("damping", "damping_std", "true_damping", 4),
+        ):
+            decimals = _decimals(row[std], least)
+            cells += [f"{row[key]:.{decimals}f}", "-" if row[std] is None else f"{row[std]:.{decimals}f}"]
+            cells += [f"{row[true]:.{decimals}f}"] if with_truth else []
         table.add_row(*cells)
     return table
 
 
 def gain_table(rows: Sequence[Row]) -> Table:
-    """Lay out static gains."""
+    """Lay out static gains; those that the structure holds at zero are left out."""
     with_truth = any(row["truth"] is not None for row in rows)
-    table = _table("", ["static gain", "value", *(["truth"] if with_truth else [])], left=("static gain",))
+    table = _table("", ["static gain", "value", "std", *(["truth"] if with_truth else [])], left=("static gain",))
     for row in rows:
-        cells = [f"{row['input']} to {row['output']}", engineering(row["gain"], 4)]
-        table.add_row(*cells, *([engineering(row["truth"], 4)] if with_truth else []))
+        if row["gain"] == 0 and not row["std"]:
+            continue
+        exponent = exponent_of(row["gain"])
+        cells = [engineering(row["gain"], 5, exponent), engineering(row["std"], 2, exponent)]
+        cells += [engineering(row["truth"], 5, exponent)] if with_truth else []
+        table.add_row(f"{row['input']} to {row['output']}", *cells)
     return table
 
 
-def summary_lines(document: Row) -> Iterable[str]:
-    """Fit percent, status and notes in words."""
-    own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
-    for recording in document["recordings"]:
-        fits = [row for row in document["fit_percent"] if row["recording"] == recording]
-        text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
-        yield f"fit on {recording}, {own}: {text}"
-    yield f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s"
-    yield from (f"note: {note}" for note in document["notes"])
+def summary_table(lines: Iterable[tuple[str, str]]) -> Table:
+    """Lines with a word before each; long ones go on below their own beginning."""
+    table = Table.grid(padding=(0, 2, 0, 0))
+    table.add_column(no_wrap=True)
+    table.add_column(overflow="fold")
+    for word, text in lines:
+        table.add_row(Text(word), Text(text))
+    return table
 
 
 def prefilter_table(rows: Sequence[Row]) -> Table:
     """Lay out what the prefilter took out."""
-    columns = ["recording", "channel", "rms before [µm]", "after [µm]", "run-out share", "harmonics 1, 2, 3 [µm]"]
-    table = _table("prefilter", [*columns, "spikes"], left=("recording", "channel"))
+    columns = ["recording", "", "rms before\n[µm]", "after\n[µm]", "run-out\nshare", "harmonics\n1, 2, 3 [µm]"]
+    table = _table("prefilter", [*columns, "spikes"], left=("recording", ""))
     for row in rows:
         harmonics = " ".join(f"{1e6 * amplitude:.2f}" for amplitude in row["harmonics"][:3])
         table.add_row(
@@ -106,19 +115,19 @@ def prefilter_table(rows: Sequence[Row]) -> Table:
     return table
 
 
-def crossval_table(rows: Sequence[Row]) -> Table:
-    """Fit percent of each model on each recording, simulated."""
-    table = _table(
-        "cross-validation, simulated",
-        ["fit", "model of", "on", "output", "fit [%]", "largest error", "unit", ""],
-        left=("fit", "model of", "on", "output", "unit", ""),
-    )
+def crossval_table(title: str, rows: Sequence[Row]) -> Table:
+    """Fit percent of each model on each recording, simulated, and what the residuals say."""
+    missed = any(row["missed"] for row in rows)
+    columns = ["model of", "on", "output", "fit\n[%]", "largest\nerror", "unit", "residuals\nwhite", "follow"]
+    left = ("model of", "on", "output", "unit", "follow", "")
+    table = _table(f"{title}, cross-validation, simulated", [*columns, *([""] if missed else [])], left=left)
     for row in rows:
         factor, unit = (1e6, "µm") if row["unit"] == "m" else (1.0, row["unit"])
-        missed = f"below {row['minimum_percent']:g} %" if row["missed"] else ""
-        largest = engineering(factor * row["infinity_norm"], 3)
-        cells = [row[key] for key in ("fit", "model", "recording", "output")]
-        table.add_row(*cells, f"{row['fit_percent']:.2f}", largest, unit, missed)
+        cells = [row[key] for key in ("model", "recording", "output")]
+        cells += [f"{row['fit_percent']:.2f}", engineering(factor * row["infinity_norm"], 3), unit]
+        cells += ["yes" if row["residuals_white"] else "no", ", ".join(row["residuals_follow"]) or "-"]
+        cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
+        table.add_row(*cells)
     return table
 
 
@@ -131,6 +140,18 @@ def recording_table(rows: Sequence[Row]) -> Table:
     return table
 
 
+def _digits(estimate: float, std: float) -> int:
+    """Significant digits of an estimate: five, or as many as its standard deviation has when that is larger."""
+    if estimate == 0 or abs(estimate) >= std:
+        return 5
+    return max(1, 2 + floor(log10(abs(estimate))) - floor(log10(std)))
+
+
+def _decimals(std: float | None, least: int) -> int:
+    """Decimals that show two digits of a standard deviation."""
+    return least if not std else min(max(least, 1 - floor(log10(std))), 7)
+
+
 def _table(title: str, columns: Sequence[str], left: Sequence[str] = ("recording", "conditions", "state")) -> Table:
     table = Table(
         title=Text(title) if title else None,
@@ -138,6 +159,7 @@ def _table(title: str, columns: Sequence[str], left: Sequence[str] = ("recording
         title_style="bold",
         box=box.SIMPLE_HEAD,
         show_edge=False,
+        pad_edge=False,
     )
     for column in columns:
         table.add_column(column, justify="left" if column in left else "right", no_wrap=True)

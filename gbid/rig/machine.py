@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -171,3 +173,56 @@ class Machine:
     def __post_init__(self) -> None:
         if not self.clearance > 0:
             raise UsageError(f"machine: clearance = {self.clearance} m; it must be positive")
+
+    @classmethod
+    def from_parameters(
+        cls,
+        key_parameters: Mapping[str, Any],
+        actuators: Mapping[str, float],
+        unbalance: Unbalance | None = None,
+        sensors: SensorChain | None = None,
+        clearance: float = 25e-6,
+    ) -> Machine:
+        """Build a machine from parameters by name, as `gbid.LPVModel` and `gbid.FitResult` have them.
+
+        Parameters
+        ----------
+        key_parameters : dict of str to float
+            ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
+        actuators : dict of str to float
+            ``p1_x``, ``p2_x``, ``kappa_x`` and those of y [rad/s, rad/s, m/m]; others are left aside.
+        unbalance, sensors, clearance
+            As for `Machine`; the usual ones when not given.
+
+        Returns
+        -------
+        Machine
+
+        Raises
+        ------
+        UsageError
+            When a parameter is missing, or a part of the machine refuses its value.
+        """
+        bearing = _by_name("rotor bearing", key_parameters, _BEARING)
+        piezo = _by_name("actuator", actuators, _ACTUATORS)
+        K, D, B = (np.reshape([bearing[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
+        return cls(
+            RotorBearingTruth(K, D, B, np.array([bearing["tau_x"], bearing["tau_y"]])),
+            ActuatorTruth(*(np.array([piezo[f"{name}_x"], piezo[f"{name}_y"]]) for name in _ACTUATOR)),
+            Unbalance() if unbalance is None else unbalance,
+            SensorChain() if sensors is None else sensors,
+            clearance,
+        )
+
+
+_PAIRS = ("xx", "xy", "yx", "yy")
+_BEARING = (*(f"{letter}_{pair}" for letter in "kdb" for pair in _PAIRS), "tau_x", "tau_y")
+_ACTUATOR = ("p1", "p2", "kappa")
+_ACTUATORS = tuple(f"{name}_{axis}" for name in _ACTUATOR for axis in "xy")
+
+
+def _by_name(owner: str, given: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, float]:
+    missing = [name for name in names if name not in given]
+    if missing:
+        raise UsageError(f"{owner}: no value for {', '.join(missing)}")
+    return {name: float(np.asarray(given[name])) for name in names}

@@ -61,7 +61,8 @@ class Validation:
 def cross_validate(result: FitResult, recording: Recording) -> Validation:
     """Simulate a fitted model on a recording, its initial state estimated there.
 
-    The measured outputs are used for the initial state alone; the model then runs on the inputs.
+    The measured outputs are used for the initial state alone, and for the outputs' offsets when the fit estimated
+    offsets; the model then runs on the inputs.
 
     Parameters
     ----------
@@ -97,8 +98,10 @@ def cross_validate(result: FitResult, recording: Recording) -> Validation:
         )
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            state = estimate_initial_state(model, u, y, recording.sample_time, between)
+            state = estimate_initial_state(model, u, y, recording.sample_time, between, offsets=has_offsets(result))
             simulated = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
+            if has_offsets(result):
+                simulated = simulated + (y - simulated).mean(axis=0)
         except np.linalg.LinAlgError:  # the free responses overflow
             simulated = np.full_like(y, np.inf)
     if not np.isfinite(simulated).all():
@@ -121,12 +124,20 @@ def cross_validate(result: FitResult, recording: Recording) -> Validation:
     )
 
 
+def has_offsets(result: FitResult) -> bool:
+    """Whether a fit estimated an offset of each output, as `fit` does with ``offsets=True``."""
+    free = {name.partition("[")[0] for name in result.free}
+    return all(f"offset_{name}" in free for name in result.model.output_names)
+
+
 def estimate_initial_state(
     model: LinearModel,
     inputs: FloatArray,
     outputs: FloatArray,
     sample_time: float,
     intersample: str | list[str] = "zoh",
+    *,
+    offsets: bool = False,
 ) -> FloatArray:
     """Find the initial state with which a simulation comes nearest to the measured outputs.
 
@@ -139,6 +150,9 @@ def estimate_initial_state(
     sample_time : float
         Time between samples [s].
     intersample : {"zoh", "foh"} or list of these
+    offsets : bool
+        Whether a constant offset of each output is estimated beside it. It is the mean of what a simulation from
+        this state leaves over.
 
     Returns
     -------
@@ -150,6 +164,8 @@ def estimate_initial_state(
     F = discretise(np.array(model.A), np.zeros((n, 1)), sample_time).F
     silent = np.zeros((len(outputs), n))
     free = np.stack([propagate(F, silent, unit) @ model.C.T for unit in np.eye(n)], axis=2)
+    if offsets:  # taking means off leaves what no offset explains
+        free, rest = free - free.mean(axis=0), rest - rest.mean(axis=0)
     columns = free.reshape(-1, n)
     size = np.linalg.norm(columns, axis=0)
     size[size == 0] = 1.0

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+from scipy.linalg import toeplitz
+from scipy.stats import chi2, norm
 
-from gbid.errors import UsageError
+from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.recording import Recording
-from gbid.validate.crossval import estimate_initial_state
+from gbid.validate.crossval import estimate_initial_state, has_offsets
 from gbid.validate.fit_percent import fit_percent
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,6 +41,9 @@ class ResidualTest:
         The same for residuals independent of the inputs, which allows for the colour of both.
     p_white : (n_outputs,) array
         Probability of less white residuals if they were white (Ljung-Box).
+    p_independent : (n_outputs, n_inputs) array
+        Probability of larger cross-correlations, over all lags from 0 on together, for residuals independent of
+        the input.
     outside : (n_outputs, n_inputs) array
         Share of lags from 0 on whose cross-correlation lies outside its band; about 0.01 by chance.
     infinity_norm : (n_outputs,) array
@@ -61,6 +65,7 @@ class ResidualTest:
     crosscorrelation: FloatArray
     cross_band: FloatArray
     p_white: FloatArray
+    p_independent: FloatArray
     outside: FloatArray
     infinity_norm: FloatArray
     rms: FloatArray
@@ -69,13 +74,23 @@ class ResidualTest:
     output_names: tuple[str, ...]
     verdict: tuple[str, ...]
 
+    @property
+    def white(self) -> npt.NDArray[np.bool_]:
+        """Whether the residuals of each output count as white, (n_outputs,)."""
+        return np.asarray(self.p_white >= 1 - _LEVEL)
+
+    @property
+    def follows(self) -> tuple[tuple[str, ...], ...]:
+        """Inputs that are still to be found in the residuals of each output."""
+        return tuple(_following(row, self.input_names) for row in self.p_independent)
+
 
 def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> ResidualTest:
     """Test the residuals of a fitted model on a recording.
 
     One-step-ahead errors for a fit with prediction focus, errors of simulation otherwise, the initial state
-    estimated on the recording. The inputs are whitened together with the residuals' test band by Bartlett's
-    formula, so that a slow input does not make correlations look significant that are not.
+    estimated on the recording. Bartlett's formula gives the covariance of the cross-correlations from the colour of
+    residual and input: that of a slow input at neighbouring lags is nearly one and the same number, and counts so.
 
     Parameters
     ----------
@@ -92,6 +107,8 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     ------
     UsageError
         When the recording is shorter than four times the lags.
+    DataError
+        When the recording lacks a signal, or the predictions overflow.
     """
     inputs, outputs = result.options["inputs"].split(), result.options["outputs"].split()
     u, input_names, _ = select(recording, inputs)
@@ -103,24 +120,34 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     hold = result.options["intersample"].split()
     between: str | list[str] = hold[0] if len(hold) == 1 else hold
     model = result.model
-    state = estimate_initial_state(model, u, y, recording.sample_time, between)
-    if result.options["focus"] == "prediction":
-        predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
-    else:
-        predicted = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
+    with np.errstate(over="ignore", invalid="ignore"):
+        try:
+            offsets = has_offsets(result)
+            state = estimate_initial_state(model, u, y, recording.sample_time, between, offsets=offsets)
+            predicted = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
+            if offsets:
+                y = y - (y - predicted).mean(axis=0)
+            if result.options["focus"] == "prediction":
+                predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
+        except np.linalg.LinAlgError:  # the free responses overflow
+            predicted = np.full_like(y, np.inf)
+    if not np.isfinite(predicted).all():
+        raise DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     error = y - predicted
     e, v = error - error.mean(0), u - u.mean(0)
     n, n_y, n_u = len(e), e.shape[1], v.shape[1]
     quantile = float(norm.ppf(0.5 + _LEVEL / 2))
     auto = np.array([correlation(e[:, j], e[:, j], lags) for j in range(n_y)])
     cross = np.zeros((n_y, n_u, 2 * lags + 1))
-    band = np.zeros((n_y, n_u))
+    band, independent = np.zeros((n_y, n_u)), np.zeros((n_y, n_u))
     for j in range(n_y):
         for i in range(n_u):
             ahead = correlation(v[:, i], e[:, j], lags)
             behind = correlation(e[:, j], v[:, i], lags)
             cross[j, i] = np.concatenate([behind[:0:-1], ahead])
-            band[j, i] = quantile * np.sqrt(_bartlett(e[:, j], v[:, i]) / n)
+            variance = _bartlett(e[:, j], v[:, i], lags)
+            band[j, i] = quantile * np.sqrt(variance[0] / n)
+            independent[j, i] = _independent(ahead, variance, n)
     outside = (np.abs(cross[:, :, lags:]) > band[:, :, None]).mean(axis=2)
     white = whiteness_test([error])
     return ResidualTest(
@@ -133,31 +160,50 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
         crosscorrelation=cross,
         cross_band=band,
         p_white=white.p_value,
+        p_independent=independent,
         outside=outside,
         infinity_norm=np.abs(error).max(axis=0),
         rms=np.sqrt((error**2).mean(axis=0)),
         fit_percent=fit_percent(y, predicted),
         input_names=tuple(input_names),
         output_names=tuple(output_names),
-        verdict=_verdict(white.p_value, outside, input_names, output_names),
+        verdict=_verdict(white.p_value, independent, input_names, output_names),
     )
 
 
-def _bartlett(a: FloatArray, b: FloatArray) -> float:
-    """Sum over all lags of the product of two autocorrelations: variance of their cross-correlation times n."""
-    most = min(len(a) // 4, 2000)
-    product = correlation(a, a, most) * correlation(b, b, most)
-    return max(float(product[0] + 2 * product[1:].sum()), 0.1)
+def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray:
+    """Covariance, times n, of cross-correlations at lags that are 0, 1, ... `lags` apart, if there is no correlation.
+
+    ``sum_l rho_e(l) rho_u(l + k)``, the residuals' autocorrelation under a triangular window, so that what lies
+    beyond its memory adds no noise and the covariance stays positive.
+    """
+    most = 2 * lags
+    own = correlation(residual, residual, most) * (1 - np.arange(most + 1) / (most + 1))
+    other = correlation(source, source, most + lags)
+    both = np.concatenate([own[:0:-1], own])
+    return np.array([both @ other[np.abs(np.arange(-most, most + 1) + k)] for k in range(lags + 1)])
+
+
+def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
+    """Probability of larger correlations at all lags together."""
+    values, vectors = np.linalg.eigh(toeplitz(variance))
+    kept = values > 1e-6 * values[-1]
+    statistic = n * float(((vectors[:, kept].T @ cross) ** 2 / values[kept]).sum())
+    return float(chi2.sf(statistic, int(kept.sum())))
 
 
 def _verdict(
-    p_white: FloatArray, outside: FloatArray, input_names: Sequence[str], output_names: Sequence[str]
+    p_white: FloatArray, p_independent: FloatArray, input_names: Sequence[str], output_names: Sequence[str]
 ) -> tuple[str, ...]:
     words = []
     for j, output in enumerate(output_names):
         white = p_white[j] >= 1 - _LEVEL
         words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p_white[j]:.2g})")
-        left = [name for i, name in enumerate(input_names) if outside[j, i] > 0.1]
+        left = _following(p_independent[j], input_names)
         if left:
             words.append(f"{output}: residuals still follow {', '.join(left)}: the structure leaves something out")
     return tuple(words)
+
+
+def _following(p_independent: FloatArray, input_names: Sequence[str]) -> tuple[str, ...]:
+    return tuple(name for name, p in zip(input_names, p_independent, strict=True) if p < 1 - _LEVEL)

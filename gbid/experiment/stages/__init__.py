@@ -5,6 +5,7 @@ from gbid.experiment.stages.crossvalidating import (
     CrossvalRow,
     drawn_pairs,
     pair_keys,
+    residuals_of_pair,
     run_crossval,
     validate_pair,
 )
@@ -27,6 +28,7 @@ __all__ = [
     "prefilter_recordings",
     "produce",
     "read_import",
+    "residuals_of_pair",
     "run_crossval",
     "run_fits",
     "validate_pair",

@@ -95,7 +95,7 @@ class Job:
         return self.experiment.results / folder / f"{name}{ending}"
 
 
-def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], None]) -> Outcome:
+def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], str | None]) -> Outcome:
     """Keep a result, or make it; bad data are an outcome, so that the others go on.
 
     Parameters
@@ -107,7 +107,7 @@ def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callab
     key : str
         Its content key.
     write : callable
-        Makes the result and writes it to the path given to it.
+        Makes the result, writes it to the path given to it, and may say a word about it.
 
     Returns
     -------
@@ -125,8 +125,8 @@ def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callab
         else:
             job.reporter.begin(stage, item)
             with writing_keyed(path, key) as part:
-                write(part)
-            outcome = Outcome(stage, item, path, "made", seconds=time.perf_counter() - began)
+                text = write(part) or ""
+            outcome = Outcome(stage, item, path, "made", text, time.perf_counter() - began)
     except DataError as error:
         outcome = Outcome(stage, item, path, "failed", str(error))
     job.reporter.end(outcome)

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
 
+from gbid.errors import DataError
 from gbid.experiment.keys import content_key
 from gbid.experiment.load import Experiment
 from gbid.experiment.pairs import fit_models
@@ -15,9 +18,14 @@ from gbid.experiment.stages.common import Job, Outcome, produce
 from gbid.experiment.stages.prefiltering import fit_input_key, load_fit_input
 from gbid.experiment.stages.recordings import check_made, refuse_bad_signals
 from gbid.experiment.structures import make_structure, structure_settings
-from gbid.identify import FitResult, fit, load_fit, save_fit
+from gbid.identify import FitResult, MultiStart, fit, fit_multistart, load_fit, save_fit
+from gbid.recording import Recording
 
 FOLDER = "fits"
+_AS_THEY_ARE = (
+    *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
+    *("engine", "start", "fixed", "local", "offsets", "initial_state"),
+)
 
 
 def run_fits(job: Job, only: str | None = None) -> list[Outcome]:
@@ -67,34 +75,52 @@ def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
     """Content key of a fit to recordings."""
     section = experiment.spec.fits[name]
     settings = section.model_dump(exclude={"structure", "options", "recordings", "together"})
+    settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings
     return content_key("fit", settings, [fit_input_key(experiment, experiment.recordings[r]) for r in recordings])
 
 
-def fit_arguments(experiment: Experiment, name: str) -> dict[str, Any]:
-    """Keyword arguments of `gbid.fit` that a fit section gives."""
+def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
+    """Keyword arguments of `gbid.fit` that a fit section gives for recordings."""
     section = experiment.spec.fits[name]
     hold = section.intersample
     return {
-        "inputs": section.inputs,
-        "outputs": section.outputs,
-        "focus": section.focus,
+        **{key: getattr(section, key) for key in _AS_THEY_ARE},
         "intersample": hold[0] if hold and len(hold) == 1 else hold,
-        "criterion": section.criterion,
-        "window": section.window,
-        "start": section.start,
-        "fixed": section.fixed,
         "bounds": {
             key: (-inf if low is None else low, inf if high is None else high)
             for key, (low, high) in section.bounds.items()
         },
-        "stop": section.stop,
-        "max_iterations": section.max_iterations,
+        "prior": {key: (known.value, known.std) for key, known in section.prior.items()},
+        "left_out": {
+            recording.name: [samples_of(recording, *stretch) for stretch in section.left_out[recording.name]]
+            for recording in data
+            if recording.name in section.left_out
+        },
     }
 
 
-def _fit(job: Job, name: str, recordings: list[str], part: Path) -> None:
+def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, int]:
+    """First sample at or after a time, and first one at or after another.
+
+    Raises
+    ------
+    DataError
+        When no sample lies between them, or the end lies beyond the recording.
+    """
+    first, stop = (math.ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
+    if stop > recording.n_samples:
+        raise DataError(
+            f"left_out: recording {recording.name!r} ends at {recording.n_samples * recording.sample_time:g} s, "
+            f"before {to_s:g} s"
+        )
+    if stop <= first:
+        raise DataError(f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s")
+    return first, stop
+
+
+def _fit(job: Job, name: str, recordings: list[str], part: Path) -> str:
     structure = make_structure(job.experiment, name)
     section = job.experiment.spec.fits[name]
     used = [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
@@ -102,5 +128,24 @@ def _fit(job: Job, name: str, recordings: list[str], part: Path) -> None:
     for planned in (job.experiment.recordings[recording] for recording in recordings):
         data.append(load_fit_input(job, planned))
         refuse_bad_signals(planned, data[-1], used)
-    result = fit(structure, data, progress=job.reporter.iteration, **fit_arguments(job.experiment, name))
+    arguments = fit_arguments(job.experiment, name, data)
+    if section.multi_start is None:
+        result = fit(structure, data, progress=job.reporter.iteration, **arguments)
+    else:
+        asked = section.multi_start.model_dump()
+        found = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments)
+        result = _with_starts(found, section.multi_start.seed)
     save_fit(result, part, overwrite=True)
+    return f"{result.status}; {result.iterations} iterations"
+
+
+def _with_starts(found: MultiStart, seed: int) -> FitResult:
+    """Return the best of several fits, which remembers how the others ended."""
+    told = {
+        "starts": str(len(found.losses)),
+        "starts_seed": str(seed),
+        "starts_converged": str(int(found.converged.sum())),
+        "starts_agreed": str(found.same_optimum),
+        "starts_spread": f"{found.spread:.6g}",
+    }
+    return replace(found.best, options={**found.best.options, **told})

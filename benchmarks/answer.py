@@ -1,0 +1,31 @@
+"""What one timed method gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Answer:
+    """One method on one recording.
+
+    Attributes
+    ----------
+    time_s : float
+        Wall time [s]; what is built or compiled beforehand is not in it.
+    cpu_s : float
+        Processor time of the same stretch [s]: much less than the wall time tells that the core was shared.
+    build_s : float
+        Building the symbolic problem [s]; 0 where there is none.
+    iterations : int
+    loss : float
+        Mean squared error summed over outputs [m^2].
+    success : bool
+    """
+
+    time_s: float
+    cpu_s: float
+    build_s: float
+    iterations: int
+    loss: float
+    success: bool

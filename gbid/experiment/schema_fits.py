@@ -1,0 +1,100 @@
+"""What an experiment YAML may say of a fit: all options of `gbid.fit` and `gbid.fit_multistart`."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, Strict
+
+from gbid.experiment.fields import (
+    Count,
+    CountOrZero,
+    Holds,
+    Names,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Switch,
+    Text,
+)
+
+
+def _window(value: Any) -> Any:
+    if value == "one":
+        return None
+    if value != "auto" and (not isinstance(value, int) or isinstance(value, bool) or value < 2):
+        raise ValueError(
+            f"expected a number of samples, at least 2, or the word auto or one (single shooting), found {value!r}"
+        )
+    return value
+
+
+def _initial_state(value: Any) -> Any:
+    if value in ("estimated", "zero"):
+        return value
+    numbers = value if isinstance(value, list | tuple) else ()
+    if not numbers or not all(type(v) in (int, float) and math.isfinite(v) for v in numbers):
+        raise ValueError(f"expected the word estimated or zero, or a list of numbers, found {value!r}")
+    return tuple(float(v) for v in numbers)
+
+
+class StructureOptions(Section):
+    """Choices of a built-in structure."""
+
+    delay: Literal["pade", "exact"] | None = None
+    pade_order: Count | None = None
+    disturbance_gain: Literal["full", "diagonal", "none"] | None = None
+
+
+class PriorSection(Section):
+    """What is known of a parameter beforehand: a normal distribution, in the parameter's unit."""
+
+    value: Number
+    std: Positive
+
+
+class MultiStartSection(Section):
+    """Further starts, drawn at random; see `gbid.fit_multistart`."""
+
+    starts: Annotated[int, Strict(), Field(ge=2)] = 10
+    seed: CountOrZero = 0
+    reach: Positive = 0.5
+
+
+class FitSection(Section):
+    """One fit of a structure, to each recording or to all together; see `gbid.fit`.
+
+    `left_out` holds, for recordings by name, stretches ``[from, to]`` in seconds from the first sample; a sample
+    at ``to`` counts again. `local` needs `together`.
+    """
+
+    structure: Text
+    options: StructureOptions = StructureOptions()
+    recordings: Names | None = None
+    together: Switch = False
+    inputs: Names | None = None
+    outputs: Names | None = None
+    focus: Literal["prediction", "simulation"] = "prediction"
+    intersample: Holds | None = None
+    criterion: Literal["trace", "det"] = "trace"
+    horizon: Count = 1
+    output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
+    window: Annotated[int | Literal["auto"] | None, BeforeValidator(_window)] = "auto"
+    stop: Literal["tolerance", "paper"] = "tolerance"
+    max_iterations: Count = 100
+    engine: Literal["auto", "compiled", "numpy"] = "auto"
+    start: dict[Text, Number] = Field(default_factory=dict)
+    fixed: dict[Text, Number] = Field(default_factory=dict)
+    bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)
+    prior: dict[Text, PriorSection] = Field(default_factory=dict)
+    local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
+    offsets: Switch = False
+    initial_state: Annotated[Literal["estimated", "zero"] | tuple[float, ...], BeforeValidator(_initial_state)] = (
+        "estimated"
+    )
+    left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(
+        default_factory=dict
+    )
+    multi_start: MultiStartSection | None = None

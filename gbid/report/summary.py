@@ -1,0 +1,81 @@
+"""What is to be said of a fit in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gbid.report.numbers import probability
+from gbid.report.rows import Row
+
+Line = tuple[str, str]
+"""A word, and what is to be said of it."""
+
+_FAR = 5.0  # standard deviations from the truth that noise does not explain
+
+
+def summary_lines(document: Row) -> Iterator[Line]:
+    """Fit percent, residuals, start, how the solver ended, and notes.
+
+    Parameters
+    ----------
+    document : dict
+        From `gbid.report.rows.fit_document`.
+
+    Yields
+    ------
+    (word, text)
+    """
+    own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
+    horizon = int(document["options"].get("horizon", "1"))
+    own = f"{horizon} steps ahead" if horizon > 1 else own
+    for recording in document["recordings"]:
+        fits = [row for row in document["fit_percent"] if row["recording"] == recording]
+        text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
+        yield "fit", f"{text} ({own}, on {recording})"
+    yield "residuals", residuals_line(document)
+    yield "start", start_line(document)
+    if document["multi_start"]:
+        yield "starts", starts_line(document["multi_start"])
+    condition = "" if document["condition"] is None else f", condition {document['condition']:.1g}"
+    told = f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s{condition}"
+    yield "solver", told
+    yield from (("note", note) for note in document["notes"])
+    far = [row for row in document["parameters"] if abs(row["deviation_std"] or 0.0) > _FAR]
+    if far:
+        names = ", ".join(f"{row['parameter']} ({row['deviation_std']:+.0f})" for row in far)
+        text = f"off the truth by many standard deviations: {names}; a bias of structure, hold or prefilter, not noise"
+        yield "note", text
+
+
+def residuals_line(document: Row) -> str:
+    """Whiteness of each output, with the probability."""
+    words = []
+    for row in document["whiteness"]:
+        p = row["p_value"]
+        if p is None:
+            words.append(f"{row['output']} unknown")
+        else:
+            words.append(f"{row['output']} {'white' if p >= 0.01 else 'not white'} ({probability(p)})")
+    return ", ".join(words)
+
+
+def start_line(document: Row) -> str:
+    """How many parameters started from where; those that a user stated by name."""
+    rows = [row for row in document["parameters"] if not row["fixed"]]
+    words = {"data": "from the data", "structure": "from the structure", "user": "given"}
+    told = []
+    for origin, word in words.items():
+        names = [row["parameter"] for row in rows if row["start_origin"] == origin]
+        if names:
+            listed = f" ({', '.join(names)})" if origin == "user" or len(names) <= 4 else ""
+            told.append(f"{len(names)} {word}{listed}")
+    return ", ".join(told)
+
+
+def starts_line(row: Row) -> str:
+    """How many of several starts led to the same optimum."""
+    spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
+    return (
+        f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} of them to the best; "
+        f"largest over smallest loss {spread}"
+    )

@@ -1,0 +1,409 @@
+"""The compiled pass against the numpy one, its cache, and machines without a compiler."""
+
+import ctypes
+import multiprocessing
+import os
+import shutil
+import stat
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from fit_cases import (
+    ACTUATORS,
+    EVERY,
+    EVERY_AT,
+    KEY,
+    MODE,
+    MODE_AT,
+    TS,
+    H,
+    fit_data,
+    levels,
+    piezo_motion,
+    simulated,
+    smooth,
+)
+
+from gbid.errors import UsageError
+from gbid.identify import compiling, fit
+from gbid.identify.blocks import Piece, cut
+from gbid.identify.engine import CompiledEngine, choose_engine, pattern_of
+from gbid.identify.kernel_source import kernel_source
+from gbid.identify.predictor import build_predictor
+from gbid.identify.sweep import block_sums, powers_of, run_with_numpy, sweep
+from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBearing
+
+COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
+
+GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    """A cache of this module's own, so that what it finds there does not hang on earlier runs."""
+    return tmp_path_factory.mktemp("kernels")
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Forget what this process has loaded, before and after."""
+    caches = (compiling.load_library, compiling._compiler)
+    for function in caches:
+        function.cache_clear()
+    yield monkeypatch
+    monkeypatch.undo()
+    for function in caches:
+        function.cache_clear()
+
+
+# ---- one result, two engines ----
+
+PLANT = Plant(RotorBearing(delay="exact"))
+CASES = {
+    "every": (EVERY, EVERY_AT, H, ("zoh", "foh"), {}),
+    "every, h = 4": (EVERY, EVERY_AT, H, "foh", {"horizon": 4}),
+    "every, offsets": (EVERY, EVERY_AT, H, "zoh", {"offset_names": ("offset_a", "offset_b")}),
+    "every, simulation": (EVERY, EVERY_AT, H, "foh", {"focus": "simulation"}),
+    "one output": (MODE, {**MODE_AT, "l1": 0.3, "l2": -0.2}, H, "zoh", {}),
+    "rotor": (RotorBearing(), {**KEY, **GAINS}, TS, "foh", {}),
+    "rotor, exact delay": (RotorBearing(delay="exact"), {**KEY, **GAINS}, TS, "foh", {}),
+    "piezo": (PiezoPair(), ACTUATORS, TS, "zoh", {}),
+    "plant": (PLANT, {**ACTUATORS, **KEY, **GAINS}, TS, "zoh", {}),
+}
+
+
+def pieces_of(case, lengths, left_out=None):
+    structure, _, h, _, _ = CASES[case]
+    scale = 1e-6 if h == TS else 1.0
+    n_u, n_y = (1, 1) if structure is MODE else (2, 4 if structure is PLANT else 2)
+    pieces = []
+    for i, n in enumerate(lengths):
+        u = 4 * scale * smooth(n, n_u, seed=i)
+        y = scale * smooth(n, n_y, seed=30 + i)
+        counts = None
+        if left_out:
+            counts = np.ones(n)
+            counts[slice(*left_out)] = 0.0
+        pieces.append(Piece(u, y, counts))
+    return pieces
+
+
+def problem(case, lengths=(300,), window=50, left_out=None):
+    structure, values, h, hold, more = CASES[case]
+    more = dict(more)
+    predictor = build_predictor(structure, {}, h, hold, more.pop("focus", "prediction"), **more)
+    theta = np.array([values.get(q.name, 0.1) for q in predictor.free])
+    blocks = cut(pieces_of(case, lengths, left_out), predictor, window)
+    scale = 1e-6 if h == TS else 1.0
+    starts = scale * np.random.default_rng(5).normal(size=(blocks.n_windows, predictor.n_states))
+    n_y = predictor.n_outputs
+    weight = (np.eye(n_y) + 0.3 * np.ones((n_y, n_y))) / scale**2
+    return predictor, theta, blocks, starts, weight
+
+
+def assert_same_sums(found, expected, rtol=1e-10):
+    """Entry by entry in units of each row's own size: rows and columns of parameters differ by orders."""
+    for name in type(expected)._fields if hasattr(expected, "_fields") else expected.__dataclass_fields__:
+        a, b = getattr(found, name), getattr(expected, name)
+        assert a.shape == b.shape, name
+        assert np.isfinite(a).all(), name
+        if name == "hessian":
+            size = np.sqrt(np.outer(np.diag(b), np.diag(b)))
+        else:  # each parameter and state has a size of its own; windows share it
+            size = np.abs(b).max(axis=0, keepdims=True) if b.ndim > 1 else np.abs(b)
+            size = np.broadcast_to(size, b.shape)
+        wrong = np.abs(a - b) > rtol * size + 1e-300
+        assert not wrong.any(), f"{name}: {np.abs(a - b)[wrong][:3]} of {size[wrong][:3]}"
+
+
+@needs_compiler
+@pytest.mark.parametrize("case", CASES)
+def test_the_compiled_pass_is_the_numpy_pass(case, fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, blocks, starts, weight = problem(case, (300, 131), 50)
+    v = predictor.at(theta)
+    engine = CompiledEngine([v])
+    expected = sweep(v, blocks, starts, weight, run_with_numpy)
+    assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
+
+
+SHAPES = {
+    "one window": ((120,), None, None),
+    "one group, full": ((80,), 10, None),
+    "two groups, full": ((160,), 10, None),
+    "last window of one sample": ((101,), 10, None),
+    "ragged, padded": ((97, 41, 12), 10, None),
+    "records shorter than a window": ((40, 9, 15), 30, None),
+    "windows of several blocks": ((1400, 700), 600, None),
+    "windows longer than the buffer": ((400,), 333, None),
+    "windows of two": ((33,), 2, None),
+    "left out": ((130, 64), 20, (37, 58)),
+    "left out from the first sample": ((130,), 20, (0, 25)),
+    "a whole block left out": ((160,), 10, (20, 40)),
+}
+
+
+@needs_compiler
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("case", ["every", "one output"])
+def test_shapes_of_windows(case, shape, fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, blocks, starts, weight = problem(case, *SHAPES[shape])
+    v = predictor.at(theta)
+    engine = CompiledEngine([v])
+    expected = sweep(v, blocks, starts, weight, run_with_numpy)
+    assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
+    # Also block by block, padding included: that is what other sums are made of.
+    powers = powers_of(v.F, blocks.length)
+    a, _ = block_sums(v, blocks, starts, weight, powers, engine)
+    b, _ = block_sums(v, blocks, starts, weight, powers, run_with_numpy)
+    assert_same_sums(a, b)
+
+
+def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):
+    predictor, theta, blocks, starts, weight = problem("every", (900, 133), 10)
+    v = predictor.at(theta)
+    whole = sweep(v, blocks, starts, weight, run_with_numpy)
+    monkeypatch.setattr("gbid.identify.sweep._CHUNK_BYTES", 20_000)
+    assert_same_sums(sweep(v, blocks, starts, weight, run_with_numpy), whole, 1e-12)
+
+
+def test_left_out_samples_do_not_count():
+    predictor, theta, blocks, starts, weight = problem("every", (130,), 20, (37, 58))
+    v = predictor.at(theta)
+    before = sweep(v, blocks, starts, weight)
+    assert blocks.n_samples == 130 - 21
+    wild = np.where(blocks.used[:, :, None] > 0, blocks.y, 1e9)
+    # Their outputs do not matter for the cost; in prediction focus they would through the feedback, see `Piece`.
+    after = sweep(v, replace(blocks, y=wild), starts, weight)
+    assert_same_sums(after, before, 1e-15)
+
+
+@needs_compiler
+def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, blocks, starts, weight = problem("every", (100,), 20)
+    zero = theta.copy()
+    zero[[q.name for q in predictor.free].index("d")] = 0.0
+    zero[[q.name for q in predictor.free].index("k")] = 0.0
+    zero[[q.name for q in predictor.free].index("w")] = 0.0
+    at_zero, at = predictor.at(zero), predictor.at(theta)
+    assert not pattern_of(at_zero).covers(pattern_of(at))
+    engine = CompiledEngine([at_zero])
+    for v in (at_zero, at, at_zero):  # also back again, with the grown pattern
+        expected = sweep(v, blocks, starts, weight, run_with_numpy)
+        assert_same_sums(sweep(v, blocks, starts, weight, engine), expected)
+    assert engine._pattern.covers(pattern_of(at))
+    assert engine._pattern.covers(pattern_of(at_zero))
+
+
+def test_patterns():
+    predictor, theta, *_ = problem("every")
+    full = pattern_of(predictor.at(theta))
+    none = replace(full, F=np.zeros_like(full.F))
+    assert full.covers(none)
+    assert not none.covers(full)
+    assert none.union(full).covers(full)
+    assert kernel_source(none) != kernel_source(full)
+
+
+@needs_compiler
+def test_groups_of_another_width_are_refused(fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, _, _, weight = problem("every")
+    v = predictor.at(theta)
+    blocks = cut(pieces_of("every", (100,)), predictor, 20, lanes=4)
+    starts = np.zeros((blocks.n_windows, 2))
+    sweep(v, blocks, starts, weight, run_with_numpy)
+    with pytest.raises(UsageError, match="wants 8 blocks in a group, not 4"):
+        sweep(v, blocks, starts, weight, CompiledEngine([v]))
+
+
+@needs_compiler
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+def test_both_engines_fit_alike(focus, fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    rec = simulated(MODE, MODE_AT, levels(700), noise=0.3)
+    a, b = (fit(MODE, rec, focus=focus, engine=engine) for engine in ("compiled", "numpy"))
+    assert (a.options["engine"], b.options["engine"]) == ("compiled", "numpy")
+    assert a.notes == tuple(note for note in b.notes if "numpy" not in note)
+    assert a.loss == pytest.approx(b.loss, rel=1e-9)
+    for name in a.free:
+        assert abs(a.parameters[name] - b.parameters[name]) < 1e-4 * a.std_with("white")[name]
+    np.testing.assert_allclose(a.covariance_white, b.covariance_white, rtol=1e-5, atol=1e-9 * a.covariance_white.max())
+
+
+# ---- the cache ----
+
+SOURCE = "double gbid_test_{name}(void) {{ return {value}; }}\n"
+
+
+def value_of(library, name):
+    function = getattr(library, f"gbid_test_{name}")
+    function.restype = ctypes.c_double
+    return function()
+
+
+@needs_compiler
+def test_the_second_load_does_not_compile(fresh, tmp_path):
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "new" / "folder"))
+    source = SOURCE.format(name="twice", value=2.5)
+    assert value_of(compiling.load_library(source), "twice") == 2.5
+    (built,) = (tmp_path / "new" / "folder").glob("*.so")
+    compiling.load_library.cache_clear()  # as another process would find it
+
+    def never(*_):
+        raise AssertionError("compiled again")
+
+    fresh.setattr(compiling, "_compile", never)
+    assert value_of(compiling.load_library(source), "twice") == 2.5
+    assert list((tmp_path / "new" / "folder").glob("*.so")) == [built]
+    # Another source has another name.
+    with pytest.raises(AssertionError, match="compiled again"):
+        compiling.load_library(SOURCE.format(name="twice", value=3.5))
+
+
+@needs_compiler
+@pytest.mark.parametrize("damage", [b"", b"no library at all", None])
+def test_a_damaged_library_is_built_anew(fresh, tmp_path, damage):
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
+    name = f"damage{len(damage) if damage is not None else 'cut'}"
+    source = SOURCE.format(name=name, value=7.0)
+    command, _ = compiling._compiler()
+    # What load_library will look for, put there damaged before anything was loaded: a loaded file must not change.
+    made = tmp_path / "elsewhere"
+    fresh.setenv("GBID_CACHE_DIR", str(made))
+    compiling.load_library(source)
+    (good,) = made.glob("*.so")
+    (tmp_path / good.name).write_bytes(good.read_bytes()[:500] if damage is None else damage)
+    compiling.load_library.cache_clear()
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
+    assert command
+    assert value_of(compiling.load_library(source), name) == 7.0
+    assert (tmp_path / good.name).stat().st_size > 1000
+
+
+def _load_in_a_process(folder, source, log, ready, results):
+    os.environ["GBID_CACHE_DIR"] = folder
+    compile_one = compiling._compile
+
+    def counted(*arguments):
+        with Path(log).open("a") as file:
+            file.write("compiled\n")
+        compile_one(*arguments)
+
+    compiling._compile = counted
+    ready.wait(30)
+    results.put(value_of(compiling.load_library(source), "race"))
+
+
+@needs_compiler
+def test_two_processes_at_once_compile_once(tmp_path):
+    context = multiprocessing.get_context("spawn")
+    ready, results = context.Barrier(2), context.Queue()
+    source, log = SOURCE.format(name="race", value=11.0), tmp_path / "log"
+    arguments = (str(tmp_path / "cache"), source, str(log), ready, results)
+    processes = [context.Process(target=_load_in_a_process, args=arguments) for _ in range(2)]
+    for process in processes:
+        process.start()
+    assert [results.get(timeout=60) for _ in processes] == [11.0, 11.0]
+    for process in processes:
+        process.join(30)
+        assert process.exitcode == 0
+    assert log.read_text() == "compiled\n"
+    assert len(list((tmp_path / "cache").glob("*.so"))) == 1
+
+
+@needs_compiler
+def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
+    fresh.delenv("GBID_CACHE_DIR", raising=False)
+    fresh.setenv("XDG_CACHE_HOME", str(tmp_path))
+    folder = compiling.cache_folder()
+    assert folder.name == "kernels"
+    assert "gbid" in folder.parts
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "mine"))
+    assert compiling.cache_folder() == tmp_path / "mine"
+
+
+# ---- machines without a compiler ----
+
+DATA = simulated(MODE, MODE_AT, levels(300), noise=0.3)
+
+
+def test_without_a_compiler_the_numpy_pass_is_used_and_said(fresh, tmp_path):
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
+    fresh.setenv("CC", "/nonexistent/cc")
+    result = fit(MODE, DATA, focus="simulation")
+    assert result.success
+    assert result.options["engine"] == "numpy"
+    said = [note for note in result.notes if "numpy pass" in note]
+    assert said == ["no C compiler found (/nonexistent/cc): the slower numpy pass was used"]
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(UsageError, match=r"engine = 'compiled': no C compiler found \(/nonexistent/cc\)"):
+        fit(MODE, DATA, engine="compiled")
+    asked = fit(MODE, DATA, focus="simulation", engine="numpy")
+    assert set(asked.notes) == set(result.notes) - set(said)
+
+
+def test_a_compiler_that_fails_is_none(fresh, tmp_path):
+    compiler = tmp_path / "broken-cc"
+    compiler.write_text('#!/bin/sh\n[ "$1" = --version ] && echo broken 1.0 && exit 0\necho "no luck" >&2\nexit 1\n')
+    compiler.chmod(compiler.stat().st_mode | stat.S_IXUSR)
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
+    fresh.setenv("CC", str(compiler))
+    result = fit(MODE, DATA, focus="simulation")
+    assert result.success
+    assert result.options["engine"] == "numpy"
+    assert any("failed on the kernel: no luck: the slower numpy pass was used" in note for note in result.notes)
+    assert not list((tmp_path / "cache").glob("*.so"))
+
+
+def test_a_cache_that_cannot_be_written_is_said(fresh, tmp_path):
+    """A file where the folder should be: also for root, who may write anywhere else."""
+    (tmp_path / "file").write_text("mine")
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "file" / "kernels"))
+    if COMPILER is None:
+        pytest.skip("no C compiler on this machine: it is missed first")
+    result = fit(MODE, DATA, focus="simulation")
+    assert result.success
+    assert result.options["engine"] == "numpy"
+    assert any("cache of compiled kernels cannot be used" in note for note in result.notes)
+    with pytest.raises(UsageError, match="engine = 'compiled': the cache of compiled kernels cannot be used"):
+        fit(MODE, DATA, engine="compiled")
+    assert (tmp_path / "file").read_text() == "mine"
+
+
+def test_unknown_engines_are_refused():
+    with pytest.raises(UsageError, match="engine = 'fast'; choose 'auto', 'compiled' or 'numpy'"):
+        choose_engine("fast", [])
+    with pytest.raises(UsageError, match="engine = 'fast'"):
+        fit(MODE, DATA, engine="fast")
+
+
+# ---- the rest of the process ----
+
+SUBNORMAL = """
+import sys
+sys.path.insert(0, {tests!r})
+import numpy as np
+from fit_cases import MODE, MODE_AT, levels, simulated
+from gbid.identify import fit
+
+result = fit(MODE, simulated(MODE, MODE_AT, levels(300), noise=0.3), focus="simulation")
+smallest = np.array([5e-324, 1e-310])
+print(result.options["engine"], (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0 > 0, 1e-308 / 4 > 0)
+"""
+
+
+@needs_compiler
+def test_loading_a_kernel_leaves_small_numbers_alone(tmp_path):
+    """A library linked for fast mathematics would make the process flush subnormal numbers to zero."""
+    script = SUBNORMAL.format(tests=str(Path(__file__).parent))
+    environment = {**os.environ, "GBID_CACHE_DIR": str(tmp_path)}
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment)
+    assert run.stdout.split() == ["compiled", "True", "True", "True"], run.stderr

@@ -1,0 +1,318 @@
+"""Stated uncertainty against theory, finite differences and the spread of many fits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, innovations, levels, piezo_motion, simulated
+from scipy.linalg import matmul_toeplitz
+from scipy.signal import lfilter
+from scipy.stats import kstest
+
+from gbid.identify import correlation, fit, whiteness_test
+from gbid.identify.whiteness import correlation_length
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
+
+LAG = LinearStructure(
+    "lag",
+    [Parameter("a", 1.0, lower=0.01, upper=50.0), Parameter("b", 1.0)],
+    lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]]},
+)
+LAG_AT = {"a": 1.5, "b": 2.0}
+GAINS = dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), 0.0)
+
+
+def coloured(n, rho, seed, size=0.2):
+    """First-order autoregressive noise, (n,)."""
+    e = size * np.random.default_rng(seed).normal(size=n + 500)
+    return lfilter([1.0], [1.0, -rho], e)[500:]
+
+
+def lag_data(n, rho=0.0, seed=1, input_seed=1, name="data"):
+    u = levels(n, seed=input_seed)
+    y = evaluate(LAG, LAG_AT).simulate(u, H) + coloured(n, rho, seed)[:, None]
+    return Recording({"u": u, "y": y}, H, name=name)
+
+
+def theory(n, rho, input_seed=1, size=0.2):
+    """Standard deviations of a and b for noise of known colour: (P'P)^-1 P'R P (P'P)^-1, initial state included."""
+    u, at = levels(n, seed=input_seed), np.array([1.5, 2.0, 0.0])
+
+    def run(t):
+        return evaluate(LAG, {"a": t[0], "b": t[1]}).simulate(u, H, initial_state=[t[2]])[:, 0]
+
+    P = np.array([(run(at + s) - run(at - s)) / 2e-6 for s in 1e-6 * np.eye(3)]).T
+    inverse = np.linalg.inv(P.T @ P)
+    variance = size**2 / (1 - rho**2)
+    J = variance * P.T @ matmul_toeplitz(rho ** np.arange(n), P)
+    return np.sqrt(np.diag(inverse @ J @ inverse))[:2]
+
+
+def stds(result, kind):
+    return np.array([result.std_with(kind)[name] for name in result.free])
+
+
+# ---- white and coloured noise ----
+
+
+@pytest.mark.parametrize("criterion", ["trace", "det"])
+def test_for_white_noise_both_are_that_of_theory(criterion):
+    results = [fit(LAG, lag_data(3000, seed=seed), criterion=criterion) for seed in range(20)]
+    expected = theory(3000, 0.0)
+    white, robust = (np.array([stds(r, kind) for r in results]) for kind in ("white", "robust"))
+    np.testing.assert_allclose(white, np.broadcast_to(expected, white.shape), rtol=0.12)
+    np.testing.assert_allclose(white.mean(axis=0), expected, rtol=0.02)
+    np.testing.assert_allclose(robust.mean(axis=0), expected, rtol=0.1)
+    np.testing.assert_allclose(robust, np.broadcast_to(expected, robust.shape), rtol=0.45)
+
+
+@pytest.mark.parametrize(("n", "rho"), [(1000, 0.9), (4000, 0.9), (4000, 0.6), (8000, -0.5)])
+def test_for_coloured_noise_the_robust_one_is_that_of_theory(n, rho):
+    results = [fit(LAG, lag_data(n, rho, seed)) for seed in range(20)]
+    expected = theory(n, rho)
+    robust = np.array([stds(r, "robust") for r in results])
+    np.testing.assert_allclose(robust.mean(axis=0), expected, rtol=0.15)
+    assert all(r.trusted == "robust" for r in results)
+    for r in results:
+        assert any("the residuals are not white" in note for note in r.notes)
+        np.testing.assert_array_equal(r.covariance, r.covariance_robust)
+        assert r.std == r.std_with("robust")
+    white = np.array([stds(r, "white") for r in results]).mean(axis=0)
+    if rho > 0:  # slow noise hides in what the slow input does
+        assert (white < 0.75 * expected).all()
+    else:
+        assert (white > 1.2 * expected).all()
+
+
+@pytest.mark.parametrize(("rho", "kind"), [(0.0, "white"), (0.0, "robust"), (0.9, "robust")])
+def test_stated_intervals_cover_the_spread_of_many_fits(rho, kind):
+    z, values, stated = [], [], []
+    for seed in range(80):
+        result = fit(LAG, lag_data(1500, rho, 1000 + seed))
+        own = stds(result, kind)
+        found = np.array([result.parameters[name] for name in "ab"])
+        z.append((found - [1.5, 2.0]) / own)
+        values.append(found)
+        stated.append(own)
+    # A standard deviation from 80 values is known to 8 %: three of those.
+    ratio = np.mean(stated, axis=0) / np.std(values, axis=0, ddof=1)
+    np.testing.assert_allclose(ratio, 1, atol=0.25)
+    covered = (np.abs(z) < 1.96).mean(axis=0)
+    assert (covered >= 0.86).all()
+    assert (np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(80)).all()
+
+
+def test_the_trace_of_unequal_and_correlated_outputs():
+    """No weight asked for, and outputs of very different noise: both stated covariances still hold."""
+    u = levels(1200, 2, hold=3)
+    clean = evaluate(EVERY, EVERY_AT).simulate(u, H)
+    root = np.array([[0.8, 0.0], [0.1, 0.1]])
+    names, values, white, robust = "awbcd", [], [], []
+    for seed in range(60):
+        e = np.random.default_rng(seed).normal(size=u.shape) @ root.T
+        result = fit(EVERY, Recording({"u": u, "y": clean + e}, H), start=EVERY_AT, focus="simulation")
+        values.append([result.parameters[name] for name in names])
+        white.append(stds(result, "white"))
+        robust.append(stds(result, "robust"))
+    spread = np.std(values, axis=0, ddof=1)
+    np.testing.assert_allclose(np.mean(white, axis=0) / spread, 1, atol=0.3)
+    np.testing.assert_allclose(np.mean(robust, axis=0) / spread, 1, atol=0.35)
+
+
+def test_the_disturbance_gain_has_its_own_uncertainty():
+    u = levels(1000, seed=2)
+    gain = LinearStructure(
+        "gain",
+        [*LAG.parameters, Parameter("k", 0.5)],
+        lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]], "K": [[p.k]]},
+    )
+    truth = {**LAG_AT, "k": 3.0}
+    values, white = [], []
+    for seed in range(60):
+        result = fit(gain, innovations(gain, truth, u, noise=[0.3], seed=seed))
+        assert result.success
+        values.append([result.parameters[name] for name in "abk"])
+        white.append(stds(result, "white"))
+    np.testing.assert_allclose(np.mean(white, axis=0) / np.std(values, axis=0, ddof=1), 1, atol=0.3)
+    assert (np.abs(np.mean(values, axis=0) - [1.5, 2.0, 3.0]) < 4 * np.mean(white, axis=0) / np.sqrt(60) + 0.02).all()
+
+
+@pytest.mark.parametrize("focus", ["simulation", "prediction"])
+def test_windows_engines_and_gaps_do_not_move_the_covariance(focus):
+    """It belongs to the estimate, not to the way that led there."""
+    recs = [
+        replace(simulated(MODE, MODE_AT, levels(n, seed=i), noise=0.3, seed=i), name=f"r{i}")
+        for i, n in enumerate((700, 431))
+    ]
+    options = {"focus": focus, "left_out": {"r0": [(100, 130)]}}
+    reference = fit(MODE, recs, window=None, **options)
+    scale = np.sqrt(np.outer(np.diag(reference.covariance_white), np.diag(reference.covariance_white)))
+    for more in ({"window": 40}, {"window": 333}, {"window": None, "engine": "numpy"}):
+        other = fit(MODE, recs, **more, **options)
+        for name in ("covariance_white", "covariance_robust"):
+            a, b = getattr(other, name), getattr(reference, name)
+            assert np.abs(a - b).max() < 0.02 * np.abs(b / scale).max() * scale.max()
+            np.testing.assert_allclose(np.diag(a), np.diag(b), rtol=0.01)
+
+
+# ---- what is trusted ----
+
+
+def test_what_is_trusted_is_what_the_residuals_say():
+    white = [fit(LAG, lag_data(2000, 0.0, seed)) for seed in range(60)]
+    assert sum(r.trusted == "robust" for r in white) <= 4  # one in a hundred is expected
+    for r in white:
+        assert r.trusted == ("white" if r.whiteness.min() >= 0.01 else "robust")
+        chosen = r.covariance_white if r.trusted == "white" else r.covariance_robust
+        np.testing.assert_array_equal(r.covariance, chosen)
+    assert all(fit(LAG, lag_data(2000, 0.3, seed)).trusted == "robust" for seed in range(8))
+
+
+def test_the_whiteness_test_keeps_its_level():
+    random = np.random.default_rng(12)
+    one = np.array([whiteness_test([random.normal(size=(400, 2))]).p_value for _ in range(400)]).ravel()
+    assert kstest(one, "uniform").pvalue > 1e-3
+    assert (one < 0.01).mean() < 0.025
+    several = [
+        whiteness_test([random.normal(size=(n, 1)) for n in (300, 150, 40)]).p_value[0] for _ in range(400)
+    ]  # the last is too short to count
+    assert kstest(several, "uniform").pvalue > 1e-3
+    found = whiteness_test([random.normal(size=(400, 1))], lags=12)
+    assert found.lags == 12
+    # A mean is no colour.
+    e = random.normal(size=(400, 1))
+    assert whiteness_test([e + 100.0]).p_value == pytest.approx(whiteness_test([e]).p_value, rel=1e-6)
+
+
+def test_the_statistic_is_ljungs_and_boxs():
+    e = np.random.default_rng(2).normal(size=(150, 1))
+    centred = e[:, 0] - e.mean()
+    rho = [centred[lag:] @ centred[:-lag] / (centred @ centred) for lag in range(1, 6)]
+    expected = 150 * 152 * sum(r**2 / (150 - lag) for lag, r in enumerate(rho, 1))
+    assert whiteness_test([e], lags=5).statistic[0] == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("rho", [0.3, -0.3, 0.8])
+def test_the_whiteness_test_sees_colour(rho):
+    assert whiteness_test([coloured(1000, rho, seed=3)[:, None]]).p_value[0] < 1e-6
+
+
+@pytest.mark.parametrize(("n", "lags"), [(50, 10), (1000, 0), (333, 332)])
+def test_correlation_is_numpys(n, lags):
+    random = np.random.default_rng(n)
+    a, b = random.normal(size=n) + 0.5, random.normal(size=n)
+    b[3:] += a[:-3]
+    expected = np.correlate(b, a, "full")[n - 1 : n + lags] / np.sqrt((a @ a) * (b @ b))
+    np.testing.assert_allclose(correlation(a, b, lags), expected, rtol=1e-9, atol=1e-13)
+
+
+def test_correlation_of_nothing_is_nothing():
+    np.testing.assert_array_equal(correlation(np.zeros(20), np.ones(20), 4), np.zeros(5))
+
+
+@pytest.mark.parametrize(("rho", "low", "high"), [(0.0, 1, 1), (0.5, 3, 12), (0.9, 12, 60), (0.97, 30, 200)])
+@pytest.mark.parametrize("n", [3000, 12000])
+def test_the_memory_of_noise_is_found_and_no_more(rho, low, high, n):
+    """Estimated correlations of coloured noise wander: they must not be taken for a long memory."""
+    found = [correlation_length([coloured(n, rho, seed)[:, None] + 7.0]) for seed in range(10)]
+    assert low <= min(found)
+    assert max(found) <= high
+
+
+# ---- what follows from the parameters ----
+
+
+def by_differences(structure, result, function):
+    """Standard deviations of a function of the model by central differences and the covariance."""
+    slopes = []
+    for name in result.free:
+        step = 1e-3 * result.std_with("white")[name]
+        ends = [
+            np.asarray(function(evaluate(structure, {**result.parameters, name: result.parameters[name] + s})))
+            for s in (step, -step)
+        ]
+        slopes.append((ends[0] - ends[1]) / (2 * step))
+    slopes = np.moveaxis(np.array(slopes), 0, -1)
+    return np.sqrt(np.einsum("...p,pq,...q->...", slopes, result.covariance, slopes))
+
+
+@pytest.mark.parametrize("delay", ["pade", "exact"])
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+def test_modes_and_static_gain_of_the_rotor(delay, focus):
+    structure = RotorBearing(delay=delay)
+    rec = simulated(structure, {**KEY, **GAINS}, piezo_motion(2500), h=TS, hold="foh", noise=3e-8)
+    result = fit(structure, rec, focus=focus)
+    modes = by_differences(structure, result, lambda model: model.modes())
+    assert result.modes_std.shape == (len(result.model.modes()), 2)
+    np.testing.assert_allclose(result.modes_std, modes, rtol=1e-4)
+    gain = by_differences(structure, result, lambda model: model.static_gain())
+    np.testing.assert_allclose(result.static_gain_std, gain, rtol=1e-4)
+    truth = np.array(evaluate(structure, {**KEY, **GAINS}).modes())[:2]
+    assert (np.abs(np.array(result.model.modes())[:2] - truth) < 4 * result.modes_std[:2]).all()
+
+
+def test_modes_and_static_gain_of_a_plant():
+    structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"))
+    r = 4.5e-6 * levels(1500, 2, 40)
+    truth = {**KEY, "p1_x": 3078.0, "p2_x": 8143.0, "kappa_x": 1.863, "p1_y": 2452.0, "p2_y": 6494.0, "kappa_y": 1.865}
+    result = fit(structure, simulated(structure, truth, r, h=TS, noise=1e-8), focus="simulation")
+    assert result.success
+    np.testing.assert_allclose(result.modes_std, by_differences(structure, result, lambda m: m.modes()), rtol=1e-3)
+    gain = by_differences(structure, result, lambda m: m.static_gain())
+    np.testing.assert_allclose(result.static_gain_std, gain, rtol=1e-3, atol=1e-9 * gain.max())
+
+
+def test_modes_and_static_gain_are_those_of_many_fits():
+    u = levels(1500, seed=3)
+    modes, gains, stated_modes, stated_gains = [], [], [], []
+    for seed in range(60):
+        result = fit(MODE, simulated(MODE, MODE_AT, u, noise=0.3, seed=seed), focus="simulation", start=MODE_AT)
+        modes.append(result.model.modes())
+        gains.append(result.model.static_gain())
+        stated_modes.append(result.modes_std)
+        stated_gains.append(result.static_gain_std)
+    np.testing.assert_allclose(np.mean(stated_modes, axis=0) / np.std(modes, axis=0, ddof=1), 1, atol=0.3)
+    np.testing.assert_allclose(np.mean(stated_gains, axis=0) / np.std(gains, axis=0, ddof=1), 1, atol=0.3)
+
+
+def test_an_integrator_has_no_static_gain_to_be_sure_of():
+    arm = LinearStructure(
+        "arm",
+        [Parameter("b1", 1.0), Parameter("K2", 1.0)],
+        lambda p: {"A": [[0, 1], [0, -p.b1]], "B": [[0], [p.K2]], "C": [[1, 0]]},
+    )
+    result = fit(arm, simulated(arm, {"b1": 2.0, "K2": 3.0}, levels(400), noise=0.05))
+    assert result.success
+    assert np.isnan(result.static_gain_std).all()
+    assert result.modes_std.shape == (0, 2)
+
+
+# ---- numbers that compare models ----
+
+
+def test_aic_and_fpe_are_their_definitions_and_choose_the_smaller_true_model():
+    rec = lag_data(1000)
+    result = fit(LAG, rec)
+    n, k = 1000, 3  # two parameters and an initial state
+    v = result.error_covariance[0, 0]
+    assert result.aic == pytest.approx(n * np.log(v) + 2 * k, rel=1e-12)
+    assert result.fpe == pytest.approx(v * (1 + k / n) / (1 - k / n), rel=1e-9)
+    wrong = LinearStructure("gain", [Parameter("d", 1.0)], lambda p: {"A": [[-5.0]], "B": [[p.d]], "C": [[1]]})
+    other = fit(wrong, rec)
+    assert other.aic > result.aic + 100
+    assert other.fpe > result.fpe
+    known = fit(LAG, rec, initial_state="zero")
+    assert known.aic == pytest.approx(n * np.log(known.error_covariance[0, 0]) + 2 * 2, rel=1e-12)
+
+
+def test_the_condition_tells_of_parameters_that_hang_together():
+    close = LinearStructure(
+        "close",
+        [Parameter("a", 1.0), Parameter("b", 1.0), Parameter("c", 0.5)],
+        lambda p: {"A": [[-p.a]], "B": [[p.b + p.c]], "C": [[1]], "D": [[1e-4 * p.c]]},
+    )
+    rec = simulated(close, {"a": 1.5, "b": 2.0, "c": 0.3}, levels(500), noise=0.1)
+    apart, together = fit(LAG, lag_data(500)), fit(close, rec)
+    assert apart.condition < 1e3
+    assert together.condition > 1e5
