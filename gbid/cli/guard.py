@@ -12,6 +12,7 @@ from gbid.cli.printing import print_json
 from gbid.errors import GbidError
 
 INTERRUPTED = 130
+_INTERRUPTED = ["interrupted; what was complete is kept"]
 
 
 @contextmanager
@@ -30,10 +31,12 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
     except typer.Exit:
         raise
     except KeyboardInterrupt:
-        _end(["interrupted; what was complete is kept"], INTERRUPTED, "", as_json, debug)
+        _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
     except GbidError as error:
         _end(str(error).splitlines(), error.exit_code, "error: ", as_json, debug)
     except Exception as error:
+        if "KeyboardInterrupt" in str(error):  # CasADi makes a RuntimeError of Ctrl-C within one of its callbacks
+            _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
         text = f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it"
         hint = ")" if debug else " with what --debug shows)"
         _end([" ".join((text + hint).split())], 1, "defect: ", as_json, debug)

@@ -15,11 +15,11 @@ from gbid.identify.assembly import Scope, assemble, automatic_window, full_start
 from gbid.identify.data import FitData, gather
 from gbid.identify.engine import EngineName
 from gbid.identify.outcome import outcome
-from gbid.identify.predictor import Focus
+from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.result import FitResult
 from gbid.identify.shooting import Criterion
-from gbid.identify.solver import Progress, Stop, solve
+from gbid.identify.solver import UNSTABLE, Progress, Stop, solve
 from gbid.identify.start import start_values
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
@@ -139,10 +139,11 @@ def fit(
         "initial_state": initial_state if isinstance(initial_state, str) else "given",
     }
 
-    def attempt(samples: int | None) -> FitResult:
+    def attempt(samples: int | None, gain_held: bool = False) -> FitResult:
+        used = _with_gain_held(structure, parameters) if gain_held else parameters
         assembly = assemble(
             structure,
-            parameters,
+            used,
             begin,
             data,
             intersample=hold,
@@ -162,7 +163,7 @@ def fit(
         length = "one per recording" if samples is None else str(window_length(problem))
         said = {**options, "window": length, "engine": assembly.engine}
         known = initial_state != "estimated"
-        return outcome(structure, parameters, data, assembly, problem, solution, full, origin, said, known)
+        return outcome(structure, used, data, assembly, problem, solution, full, origin, said, known)
 
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # an unstable start: the status says so
         result = _best_of(attempt, window if window != "auto" else _ladder(data, focus))
@@ -175,7 +176,7 @@ def _ladder(data: FitData, focus: Focus) -> list[int | None]:
     return [usual, max(16, usual // 2), 4 * usual]
 
 
-def _best_of(attempt: Callable[[int | None], FitResult], windows: int | list[int | None] | None) -> FitResult:
+def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] | None) -> FitResult:
     """Take the first attempt that converges; else the one with the smallest loss. Say which it was."""
     if not isinstance(windows, list):
         return attempt(windows)
@@ -185,6 +186,10 @@ def _best_of(attempt: Callable[[int | None], FitResult], windows: int | list[int
         tried.append(result)
         if result.success:
             break
+        if result.status == UNSTABLE:
+            result = attempt(samples, gain_held=True)
+            note = "with a free disturbance gain the predictor became unstable: the gain was held at its start"
+            return replace(result, notes=(*result.notes, note))
     else:
         finite = [r for r in tried if np.isfinite(r.loss)]
         result = min(finite, key=lambda r: r.loss) if finite else tried[0]
@@ -193,6 +198,12 @@ def _best_of(attempt: Callable[[int | None], FitResult], windows: int | list[int
         note = f"windows of {others} samples did not converge; this is the result with {result.options['window']}"
         result = replace(result, notes=(*result.notes, note))
     return result
+
+
+def _with_gain_held(structure: Structure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Hold what only the disturbance gain depends on."""
+    names = noise_names(structure)
+    return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
 
 
 def _check_options(

@@ -83,14 +83,15 @@ def fit_multistart(
     asked = dict(options.pop("start", None) or {})
     fixed = set(options.get("fixed") or {})
     bounds = options.get("bounds") or {}
+    centres = {name.partition("[")[0]: first.start[name] for name in first.free}  # local ones draw one for all groups
     results = [first]
     for _ in range(starts - 1):
         drawn = dict(asked)
         for q in structure.parameters:
-            if q.name in fixed or q.fixed or q.name not in first.free:
+            if q.name in fixed or q.fixed or q.name not in centres:
                 continue
             lower, upper = bounds.get(q.name, (q.lower, q.upper))
-            centre = first.start[q.name]
+            centre = centres[q.name]
             half = reach * (abs(centre) if centre else 1.0)
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))

@@ -22,6 +22,7 @@ from gbid.structure import LinearModel, Parameter, Structure, evaluate
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 _COLOURED = 0.01  # probability below which residuals do not count as white
+_MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
 _OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
 
 
@@ -197,7 +198,10 @@ def _notes(
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in free])
     notes = [f"{name} lies on a bound: no standard deviation" for name in names[on_bound]]
-    notes += [_undetermined(direction, names) for direction in found.undetermined]
+    if len(found.undetermined) > _MOST_DIRECTIONS:
+        notes.append(f"the information is singular in {len(found.undetermined)} directions: no standard deviations")
+    else:
+        notes += [_undetermined(direction, names) for direction in found.undetermined]
     if trusted == "robust":
         notes.append(
             "the residuals are not white: standard deviations are the robust ones, and do not cover what the "

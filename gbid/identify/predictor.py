@@ -261,10 +261,10 @@ def build_predictor(
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = sorted({*_driven(m.B), *_driven(m.D)})
-    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, m.B_delayed, m.delay))}
+    noise = noise_names(structure)
     return Predictor(
         free=(*free, *(Parameter(name, 0.0) for name in offset_names)),
-        noise=tuple(i for i, q in enumerate(free) if q.name not in moves),
+        noise=tuple(i for i, q in enumerate(free) if q.name in noise),
         unused=unused,
         n_states=n,
         n_inputs=n_u,
@@ -279,6 +279,13 @@ def build_predictor(
         _function=function,
         _shapes=tuple(matrix.shape for matrix in matrices),
     )
+
+
+def noise_names(structure: Structure) -> frozenset[str]:
+    """Parameters of a structure that only its disturbance gain depends on."""
+    _, m = symbolic_matrices(structure)
+    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, m.B_delayed, m.delay))}
+    return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
 
 
 def _driven(matrix: ca.SX) -> list[int]:

@@ -20,9 +20,14 @@ Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
+_PATIENCE = 5  # iterations that a predictor may be unstable on the way
 _NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
 _NEAR_GAP = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
+
+UNSTABLE = (
+    "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
+)
 
 _WORDS = {
     "Solve_Succeeded": "converged",
@@ -196,6 +201,8 @@ def solve(
     status = str(stats["return_status"])
     if watch.settled and status == "User_Requested_Stop":
         words, success = f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+    elif watch.unstable >= _PATIENCE and status == "User_Requested_Stop":
+        words, success = UNSTABLE, False
     elif watch.at_rest and status == "User_Requested_Stop":
         words, success = "converged", True
     elif watch.exact and status == "User_Requested_Stop":
@@ -270,6 +277,7 @@ class _Watch(ca.Callback):
         self.exact = False
         self.at_rest = False
         self.near = False
+        self.unstable = 0
         self._previous: FloatArray | None = None
         self._sigma = np.inf
         self.construct("watch", {})
@@ -307,7 +315,17 @@ class _Watch(ca.Callback):
         self.at_rest = small
         self.near = self.near or (sigma < _NEAR and now.gap < _NEAR_GAP)
         self._previous, self._sigma = x, sigma
-        return [int(self.interrupted or self.settled or self.exact or self.at_rest)]
+        self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
+        ended = self.settled or self.exact or self.at_rest
+        return [int(self.interrupted or ended or self.unstable >= _PATIENCE)]
+
+    def _radius(self, x: FloatArray) -> float:
+        """Spectral radius of the predictors."""
+        theta, _ = self._problem.unpack(x)
+        transitions = [v.F for v in self._problem.values(theta)]
+        if not all(np.isfinite(F).all() for F in transitions):
+            return np.inf
+        return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
 
     def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
         """Length of a step in the metric of the information at its end."""
