@@ -46,7 +46,7 @@ unit: $(VENV)/.installed-test  ## the tests, warnings as errors
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
 test-slow: $(VENV)/.installed-test  ## the long studies
-	$(BIN)/pytest -n $(JOBS) -m slow
+	$(BIN)/pytest -m slow -s
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

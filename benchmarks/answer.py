@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -21,6 +22,8 @@ class Answer:
     loss : float
         Mean squared error summed over outputs [m^2].
     success : bool
+    start : dict of str to float
+        Start values that were found from the data; empty for a method that was given them.
     """
 
     time_s: float
@@ -29,3 +32,4 @@ class Answer:
     iterations: int
     loss: float
     success: bool
+    start: Mapping[str, float] = field(default_factory=dict)

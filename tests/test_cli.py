@@ -1,5 +1,6 @@
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -90,8 +91,9 @@ def test_wrong_command_lines_end_with_2(arguments, capsys):
 def test_run_prints_data_on_stdout_and_progress_on_stderr(spring, capsys):
     assert gbid("run", spring) == 0
     captured = capsys.readouterr()
-    for word in ("spring, run1", "k ", "frequency [Hz]", "40.0", "cross-validation", "99.", "results: "):
+    for word in ("spring, run1", "k ", "frequency", "[Hz]", "cross-validation", "99.", "results: "):
         assert word in captured.out
+    assert re.search(r"^1 +(39\.9|40\.0)\d* ", captured.out, re.MULTILINE)
     assert "fit spring/run1: kept" in captured.err
     assert "kept" not in captured.out
 
@@ -116,11 +118,26 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
     assert gbid("fit", spring, "--json") == 0
     fits = document(capsys.readouterr().out)["fits"]
     rows = {row["parameter"]: row for row in fits[0]["parameters"]}
+    for row in rows.values():
+        assert row["std"] == row[f"std_{fits[0]['trusted']}"]
+        assert row["std_white"] != row["std_robust"]
+        assert row["start_origin"] == "structure"
+    assert rows["k"]["start"] == 6e4
+    mode, gain = fits[0]["modes"][0], fits[0]["static_gain"][0]
+    # f = sqrt(k) / 2 pi, so its relative deviation is half that of k; the gain is b / k
+    assert mode["frequency_std_hz"] == pytest.approx(40 * rows["k"]["std"] / rows["k"]["estimate"] / 2, rel=1e-3)
+    assert 0 < mode["damping_std"] < 1e-2
+    assert 0 < gain["std"] < 0.01 * abs(gain["gain"])
+    assert [row["output"] for row in fits[0]["whiteness"]] == ["y"]
+    assert fits[0]["condition"] > 1
+    assert fits[0]["multi_start"] is None
     assert rows["b"]["estimate"] == pytest.approx(2e6, rel=0.01)
     assert rows["b"]["truth"] is None
     assert fits[0]["modes"][0]["frequency_hz"] == pytest.approx(40.0, abs=0.05)
     assert gbid("crossval", spring, "--json") == 0
-    assert [r["model"] for r in document(capsys.readouterr().out)["crossval"]] == ["run1", "run2"]
+    found = document(capsys.readouterr().out)["crossval"]
+    assert [r["model"] for r in found] == ["run1", "run2"]
+    assert all(r["residuals_white"] and r["residuals_follow"] == [] for r in found)
     assert gbid("run", spring, "--json") == 0
     assert set(document(capsys.readouterr().out)) == {
         "experiment",
@@ -145,13 +162,16 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
     assert k_xx[1].startswith("-62")
     assert k_xx[1].endswith("e3")
     assert k_xx[3] == "-628.89e3"
+    assert re.search(r"^parameter +estimate +\((white|robust)\) +truth", out, re.MULTILINE)
+    for word in ("residuals  p_x ", "start      14 from the data, 2 from the structure", ", condition "):
+        assert word in out
     assert out.count("N s/(kg m)") == 8
     tau_x = next(line for line in out.splitlines() if line.strip().startswith("tau_x")).split()
     assert tau_x[-1] == "ms"
     assert tau_x[3] == "0.58565"
     assert "3078.0" in out  # the piezos' truth
     assert "u_x to p_x" in out
-    assert "run-out share" in out
+    assert "run-out" in out
     assert gbid("fit", path, "--json", "--only", "piezos") == 0
     found = document(capsys.readouterr().out)
     assert {f["fit"] for f in found["fits"]} == {"piezos"}
@@ -161,6 +181,62 @@ def test_rig_fit_table_has_truth_units_and_readable_numbers(tmp_path, capsys):
     assert x_of_first["rms_after"] < x_of_first["rms_before"]
     assert gbid("fit", path, "--only", "piezo") == 2
     assert "did you mean 'piezos'" in capsys.readouterr().err
+
+
+def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
+    """All that the quick experiment prints, notes wrapped below their own beginning."""
+    from rich.console import Console
+
+    from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
+    from gbid.experiment.load import load_experiment
+    from gbid.experiment.stages import Job, make_rig_recordings, prefilter_recordings, run_crossval, run_fits
+    from gbid.report.tables import crossval_table, fit_tables, prefilter_table
+
+    path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))
+    job = Job(load_experiment(path))
+    make_rig_recordings(job)
+    outcomes = [*prefilter_recordings(job), *run_fits(job)]
+    tables = [fit_tables(document["fit"], document) for document in fit_documents(job, outcomes)]
+    tables += [prefilter_table(prefilter_documents(outcomes))]
+    tables += [crossval_table("bearing", crossval_documents(run_crossval(job)[1]))]
+    console = Console(width=80, highlight=False)
+    for table in tables:
+        console.print(table)
+    out = capsys.readouterr().out
+    assert "…" not in out
+    assert max(len(line) for line in out.splitlines()) <= 80
+    for unit in ("N s/(kg m)", "rad/s", "1/s^2"):
+        assert unit in out
+    notes = re.findall(r"^note       the residuals .*\n           \S", out, re.MULTILINE)
+    assert len(notes) == len(re.findall(r"\(robust\)", out))
+    assert re.search(r"^note +off the truth by many standard deviations: .*tau_x \(\+\d\d\)", out, re.MULTILINE)
+
+
+def test_progress_says_where_the_solver_is(capsys):
+    from gbid.cli.progress import PlainReporter
+    from gbid.identify import Progress
+
+    reporter = PlainReporter()
+    reporter.begin("fit", "bearing/run1")
+    for which in range(2):
+        for iteration in (0, 10):
+            sigma = float("inf") if iteration == 0 else 0.25 + which
+            reporter.iteration(Progress(iteration, -4.77994, 2e-7, 1e-3, sigma))
+    assert capsys.readouterr().err.splitlines() == [
+        "fit bearing/run1: iteration 10, cost -4.7799, gap 2e-07, step 0.2 std",
+        "fit bearing/run1, try 2: iteration 10, cost -4.7799, gap 2e-07, step 1 std",
+    ]
+
+
+def test_several_starts_are_told(tmp_path, capsys):
+    path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 3, reach: 0.1}"))
+    assert gbid("import", path) == 0
+    assert gbid("fit", path) == 0
+    assert re.search(r"^starts     3 \(seed 0\): \d converged, \d of them to the best", capsys.readouterr().out, re.M)
+    assert gbid("fit", path, "--json") == 0
+    told = document(capsys.readouterr().out)["fits"][0]["multi_start"]
+    assert (told["starts"], told["seed"]) == (3, 0)
+    assert told["spread"] >= 1
 
 
 def test_results_option(spring, tmp_path):
@@ -229,8 +305,10 @@ def test_no_convergence_ends_with_4_and_is_written(tmp_path, capsys):
     path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, max_iterations: 1"))
     assert gbid("run", path) == 4
     captured = capsys.readouterr()
-    assert "iteration limit" in captured.out
-    assert "gbid: error: fit spring/run1: not converged: iteration limit reached (written to " in captured.err
+    assert "solver     not converged: iteration limit reached" in captured.out
+    assert "fit spring/run1: made" in captured.err
+    assert "s): not converged: iteration limit reached" in captured.err  # in the progress as well
+    assert re.search(r"gbid: error: fit spring/run1: not converged: iteration limit.*\(written to ", captured.err)
     assert "fits/spring/run1.h5" in files_in(tmp_path / "results" / "spring")
 
 

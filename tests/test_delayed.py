@@ -379,11 +379,15 @@ def test_derivatives_of_the_predictor_by_all_parameters(structure, values, h, ho
 
 
 def test_half_a_structure_with_a_delay_is_refused():
-    half = LinearStructure("half", [Parameter("a", 1.0)], lambda p: {"A": [[-p.a]], "B": [[1]], "C": [[1]], "delay": [1]})
+    half = LinearStructure(
+        "half", [Parameter("a", 1.0)], lambda p: {"A": [[-p.a]], "B": [[1]], "C": [[1]], "delay": [1]}
+    )
     with pytest.raises(UsageError, match="and B_delayed with delay; got A, B, C, delay"):
         evaluate(half, {"a": 1.0})
     wrong = LinearStructure(
-        "wrong", [Parameter("a", 1.0)], lambda p: {"A": [[-p.a]], "B": [[1]], "C": [[1]], "delay": [1, 2], "B_delayed": [[1]]}
+        "wrong",
+        [Parameter("a", 1.0)],
+        lambda p: {"A": [[-p.a]], "B": [[1]], "C": [[1]], "delay": [1, 2], "B_delayed": [[1]]},
     )
     with pytest.raises(UsageError, match=r"delay has shape \(2, 1\), expected \(1, 1\)"):
         evaluate(wrong, {"a": 1.0})

@@ -60,7 +60,21 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("30e-9", ".nan", "noise_p_m: .nan", ["finite number", "nan"]),
         ("stop: paper", "stop: papper", "stop: papper", ["fits.bearing.stop", "'tolerance' or 'paper'", "'papper'"]),
         ("stop: paper", "window: 1", "window: 1", ["fits.bearing.window", "at least 2"]),
-        ("stop: paper", "window: once", "window: once", ["fits.bearing.window", "the word one", "'once'"]),
+        ("stop: paper", "window: once", "window: once", ["fits.bearing.window", "the word auto or one", "'once'"]),
+        ("stop: paper", "horizon: 0", "horizon: 0", ["fits.bearing.horizon", "at least 1"]),
+        ("stop: paper", "output_weights: [1, -1]", "-1]", ["output_weights[1]", "above 0"]),
+        ("stop: paper", "prior: {tau_x: {value: 1e-3}}", "tau_x: {value", ["prior.tau_x.std", "is missing"]),
+        ("stop: paper", "prior: {tau_x: {value: 1e-3, std: 1, sd: 2}}", "sd: 2", ["unknown key; did you mean 'std'"]),
+        ("stop: paper", "prior: {tau_x: {value: 1e-3, std: 0}}", "std: 0", ["prior.tau_x.std", "above 0"]),
+        ("stop: paper", "local: {tau_x: point}", "tau_x: point", ["local.tau_x", "'operating_point'", "'point'"]),
+        ("stop: paper", "offsets: 1", "offsets: 1", ["fits.bearing.offsets", "true or false"]),
+        ("stop: paper", "initial_state: nought", "initial_state: nought", ["estimated or zero", "'nought'"]),
+        ("stop: paper", "initial_state: [0, a]", "initial_state: [0", ["list of numbers"]),
+        ("stop: paper", "left_out: {p5_n6000_prbs1: 3}", "p5_n6000_prbs1: 3", ["left_out.p5_n6000_prbs1", "a list"]),
+        ("stop: paper", "engine: fast", "engine: fast", ["fits.bearing.engine", "'numpy'", "'fast'"]),
+        ("stop: paper", "multi_start: {starts: 1}", "starts: 1", ["multi_start.starts", "at least 2"]),
+        ("stop: paper", "multi_start: {sead: 1}", "sead: 1", ["did you mean 'seed'"]),
+        ("gain: diagonal", "gain: diagonal, delay: exakt", "delay: exakt", ["options.delay", "'exact'"]),
         ("name: quick", "name: 2024", "name: 2024", ["name", "text", "quotes"]),
         ("name: quick", "name: a/b", "name: a/b", ["'a/b' cannot be a name"]),
         ("format: 1", "format: 2", "format: 2", ["format", "expected 1", "found 2"]),
@@ -73,6 +87,9 @@ def test_form_is_checked_with_position(tmp_path, old, new, place, words):
     assert line.startswith(place_of(QUICK.replace(old, new), place) + ": ")
     for word in words:
         assert word in line
+
+
+LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
 
 
 @pytest.mark.parametrize(
@@ -89,6 +106,27 @@ def test_form_is_checked_with_position(tmp_path, old, new, place, words):
         ("stop: paper", "fixed: {tau: 1}", "tau: 1", ["fits.bearing.fixed.tau", "no parameter"]),
         ("stop: paper", "bounds: {tau_x: [1, 0]}", "tau_x: [1", ["lower bound 1 is not below"]),
         ("stop: paper", "start: {tau_x: 1.0}", "tau_x: 1.0", ["outside the bounds"]),
+        ("stop: paper", "prior: {k_x: {value: 1, std: 1}}", "k_x: {v", ["prior.k_x", "did you mean 'k_yx'"]),
+        ("stop: paper", "fixed: {tau_x: 1e-3}, prior: {tau_x: {value: 1e-3, std: 1}}", "tau_x: {v", ["is fixed"]),
+        ("stop: paper", "prior: {offset_p_x: {value: 0, std: 1}}", "offset_p_x", ["no parameter of rotor_bearing"]),
+        ("piezo_pair}", "piezo_pair, together: true, local: {p1: recording}}", "p1: rec", ["local.p1", "no parameter"]),
+        ("stop: paper", "local: {tau_x: recording}", "local: {", ["write together: true"]),
+        ("stop: paper", "output_weights: [1, 1, 1]", "output_weights", ["3 weights for 2 outputs: p_x, p_y"]),
+        ("stop: paper", "criterion: det, output_weights: [1, 2]", "output_weights", ["criterion: trace"]),
+        ("stop: paper", "initial_state: [0, 0]", "initial_state", ["2 numbers for the 6 states of rotor_bearing"]),
+        ("stop: paper", "focus: simulation, horizon: 3", "horizon: 3", ["for focus: prediction"]),
+        ("stop: paper", "focus: simulation, prior: {bd_xx: {value: 0, std: 1}}", "bd_xx", ["does not see"]),
+        ("stop: paper", LEFT_OUT.replace("prbs1", "prbs7"), "p5_n6000_prbs7", ["did you mean 'p5_n6000_prbs2'"]),
+        ("stop: paper", LEFT_OUT.replace("0.1, 0.2", "0.2, 0.2"), "[0.2, 0.2]", ["left_out", "0.2 s is not after"]),
+        ("stop: paper", LEFT_OUT.replace("0.1, 0.2", "0.9, 1.1"), "[0.9, 1.1]", ["beyond the end of the recording"]),
+        ("stop: paper", LEFT_OUT + ", horizon: 2", "left_out: {", ["a horizon of 1 only"]),
+        ("gain: diagonal", "gain: none, delay: exact, pade_order: 2", "options: {", ["pade_order is for delay: pade"]),
+        (
+            "{structure: piezo_pair}",
+            "{structure: piezo_pair, options: {delay: exact}}",
+            "options: {delay",
+            ["no option"],
+        ),
         ("stop: paper", "recordings: p6*", "recordings: p6*", ["no recording matches 'p6*'"]),
         ("stop: paper", "inputs: w", "inputs: w", ["has no signal 'w'"]),
         ("stop: paper", "outputs: p.z", "outputs: p.z", ["has no channel 'z'"]),

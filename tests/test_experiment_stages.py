@@ -1,4 +1,5 @@
 import csv
+import inspect
 from pathlib import Path
 
 import h5py
@@ -18,10 +19,12 @@ from gbid.experiment.stages import (
     run_crossval,
     run_fits,
 )
+from gbid.experiment.stages.fitting import fit_arguments, samples_of
 from gbid.experiment.structures import make_structure, true_model, true_values
+from gbid.identify import fit
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
-from gbid.recording import load_recording
+from gbid.recording import Recording, load_recording
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
@@ -128,6 +131,11 @@ def test_crossval_table_is_that_of_the_rows(made):
         assert float(found["fit_percent"]) == row.fit_percent > 90
         assert (found["model"], found["recording"], found["output"]) == (row.model, row.recording, row.output)
         assert found["model"] != found["recording"]
+        assert (float(found["residual_p"]), tuple(found["residuals_follow"].split())) == (
+            row.residual_p,
+            row.residuals_follow,
+        )
+        assert row.residuals_white == (row.residual_p >= 0.01)
         assert not row.missed
 
 
@@ -238,6 +246,121 @@ def test_fit_to_all_recordings_together(tmp_path):
     assert result.parameters["k"] == pytest.approx((2 * np.pi * 40) ** 2, rel=1e-3)
     assert result.parameters["b"] == pytest.approx(2e6, rel=1e-2)
     assert [(r.model, r.recording) for r in rows] == [("together", "run1"), ("together", "run2")]
+
+
+OPTIONS = (
+    "{structure: piezo_pair, horizon: 2, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
+    "options: {disturbance_gain: none}, offsets: true, initial_state: zero, engine: numpy, window: 400, "
+    "left_out: {p5_n6000_prbs1: [[0.1, 0.1503], [0.5, 0.6]]}, bounds: {p2_x: [null, 2.0e4]}}"
+)
+
+
+def test_every_option_of_a_fit_reaches_it(tmp_path):
+    """The keyword arguments are those that a user would write in Python; nothing of `fit` is out of reach."""
+    experiment = load_experiment(write_quick(tmp_path, ("{structure: piezo_pair}", OPTIONS)))
+    names = ("p5_n6000_prbs1", "p5_n6000_prbs2")
+    data = [Recording({"r": np.zeros((5000, 2))}, 2e-4, name=name) for name in names]
+    found = fit_arguments(experiment, "piezos", data)
+    known = set(inspect.signature(fit).parameters) - {"structure", "recordings", "progress", "scaling"}
+    assert set(found) == known
+    assert {key: found[key] for key in ("horizon", "output_weights", "prior", "offsets", "initial_state")} == {
+        "horizon": 2,
+        "output_weights": (1.0, 2.0),
+        "prior": {"p1_x": (3000.0, 1e4)},
+        "offsets": True,
+        "initial_state": "zero",
+    }
+    assert (found["engine"], found["window"], found["bounds"]) == ("numpy", 400, {"p2_x": (-np.inf, 2e4)})
+    # a sample at the end counts again: 0.1503 s lies between samples 751 and 752
+    assert found["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
+    alone = fit_arguments(experiment, "piezos", data[1:])
+    assert alone["left_out"] == {}
+
+
+@pytest.mark.parametrize(("window", "expected"), [("auto", "auto"), ("one", None), ("300", 300)])
+def test_words_for_the_window(tmp_path, window, expected):
+    path = write_quick(tmp_path, ("stop: paper", f"stop: paper, window: {window}"))
+    assert fit_arguments(load_experiment(path), "bearing", [])["window"] == expected
+
+
+def test_what_is_left_out_lies_within_the_recording():
+    recording = Recording({"y": np.zeros((100, 1))}, 0.01, name="run")
+    assert samples_of(recording, 0.0, 0.05) == (0, 5)
+    assert samples_of(recording, 0.9, 1.0) == (90, 100)
+    with pytest.raises(DataError, match="'run' ends at 1 s, before"):
+        samples_of(recording, 0.9, 1.02)
+    with pytest.raises(DataError, match=r"no sample from 0\.301 s to before 0\.309 s"):
+        samples_of(recording, 0.301, 0.309)
+
+
+def test_a_rub_left_out_does_not_spoil_a_fit(tmp_path):
+    """Samples 400 to 500 are nonsense; left out, the fit is that of the clean data to a few standard deviations."""
+
+    def rub(columns):
+        columns["position [um]"][400:500] += 30 * np.sin(np.arange(100))
+
+    for change in ("", ", left_out: {run1: [[0.2, 0.25]]}"):
+        folder = tmp_path / ("out" if change else "in")
+        path = write_spring(folder, ("focus: simulation", f"focus: simulation{change}"))
+        write_spring_data(folder / "data" / "run1.csv", 1, damage=rub)
+        job = Job(load_experiment(path))
+        import_recordings(job)
+        run_fits(job)
+        result = load_made_fit(job, "spring", "run1")
+        off = abs(result.parameters["k"] - (2 * np.pi * 40) ** 2 * 1.0) / result.std["k"]
+        assert (result.error_covariance[0, 0] < 0.06) == bool(change)
+        assert not change or off < 4
+
+
+def test_local_parameters_are_validated_with_those_of_the_recording(tmp_path):
+    """One spring, two amplifiers: the gain is local, and each recording is simulated with its own."""
+
+    def weaker(columns):
+        columns["drive [V]"] *= 2.0
+
+    path = write_spring(
+        tmp_path,
+        ("focus: simulation", "focus: simulation, together: true, local: {b: recording}"),
+        ("on: cyclic", 'on: "run*"'),
+    )
+    write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=weaker)
+    outcomes, rows = all_stages(Job(load_experiment(path)))
+    assert {o.state for o in outcomes} == {"made"}
+    result = load_made_fit(Job(load_experiment(path)), "spring", "together")
+    assert result.parameters["b[run1]"] / result.parameters["b[run2]"] == pytest.approx(2.0, rel=0.01)
+    assert [row.recording for row in rows] == ["run1", "run2"]
+    assert min(row.fit_percent for row in rows) > 95
+
+
+def test_local_parameters_say_nothing_of_another_recording(tmp_path):
+    path = write_spring(
+        tmp_path,
+        ("focus: simulation", "focus: simulation, together: true, recordings: [run1, run2], local: {b: recording}"),
+        ("on: cyclic", "on: run3"),
+    )
+    third = (
+        "    - {name: run3, file: run3.csv, time: time, signals: {u: {columns: drive, stored_unit: V, channels: u}, "
+    )
+    third += "y: {columns: position, stored_unit: um}}}\nfits:"
+    path.write_text(path.read_text().replace("fits:", third))
+    write_spring_data(tmp_path / "data" / "run3.csv", 3)
+    outcomes, rows = all_stages(Job(load_experiment(path)))
+    assert rows == []
+    assert "there are none for recording 'run3'" in outcomes[-1].text
+
+
+def test_several_starts_are_counted(tmp_path):
+    path = write_spring(
+        tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 4, seed: 5, reach: 0.1}")
+    )
+    job = Job(load_experiment(path))
+    import_recordings(job)
+    (first, _) = run_fits(job)
+    options = load_made_fit(job, "spring", "run1").options
+    assert (options["starts"], options["starts_seed"]) == ("4", "5")
+    assert 1 <= int(options["starts_agreed"]) <= int(options["starts_converged"]) <= 4
+    assert float(options["starts_spread"]) >= 1
+    assert first.converged
 
 
 def test_a_changed_data_file_makes_results_stale(tmp_path):

@@ -1,14 +1,23 @@
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+import gbid
 from gbid.errors import UsageError
-from gbid.report.figures import plot_response, response_figure, save_figure
+from gbid.report import (
+    plot_residuals,
+    plot_response,
+    residuals_data,
+    residuals_figure,
+    response_figure,
+    save_figure,
+)
 from gbid.report.numbers import engineering, exponent_of
 from gbid.validate import Validation
 
@@ -109,6 +118,84 @@ def test_no_global_state_and_no_pyplot(validation):
     assert dict(mpl.rcParams) == before
     code = "import sys, gbid.report.figures; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
+
+
+@pytest.fixture
+def residual_test():
+    """White residuals, but for one output that follows an input two samples late."""
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-1.0, 1.0], (500, 2)), 8, axis=0)
+    y = rng.standard_normal((4000, 2))
+    y[2:, 1] += 0.5 * u[:-2, 0]
+    nothing = gbid.LinearModel(
+        -np.eye(1), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), input_names=("u_x", "u_y"),
+        output_names=("p_x", "p_y"),
+    )  # fmt: skip
+    options = {"inputs": "u", "outputs": "p", "intersample": "zoh", "focus": "simulation"}
+    result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=())
+    recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")
+    return gbid.check_residuals(result, recording, lags=20), u, y
+
+
+def test_residual_panels_are_the_correlations(residual_test):
+    """Against numpy's correlation, sample by sample."""
+    test, u, y = residual_test
+    rows = residuals_data(test)
+    assert [[panel.against for panel in row] for row in rows] == [["p_x", "u_x", "u_y"], ["p_y", "u_x", "u_y"]]
+    e, v = y - y.mean(0), u - u.mean(0)
+    for j, (own, *others) in enumerate(rows):
+        full = np.correlate(e[:, j], e[:, j], "full")[len(e) - 1 :] / (e[:, j] @ e[:, j])
+        np.testing.assert_array_equal(own.lags, np.arange(1, 21))
+        np.testing.assert_allclose(own.time, own.lags)
+        np.testing.assert_allclose(own.correlation, full[1:21], atol=1e-12)
+        assert own.band == pytest.approx(2.5758 / np.sqrt(4000), rel=1e-4)
+        for i, panel in enumerate(others):
+            scale = np.sqrt((e[:, j] @ e[:, j]) * (v[:, i] @ v[:, i]))
+            full = np.correlate(e[:, j], v[:, i], "full")[len(e) - 21 : len(e) + 20] / scale
+            np.testing.assert_array_equal(panel.lags, np.arange(-20, 21))
+            np.testing.assert_allclose(panel.correlation, full, atol=1e-12)
+    assert test.follows == ((), ("u_x",))
+    assert rows[1][1].outside[20 + 2]
+
+
+def test_residual_figure_shows_what_it_should(residual_test):
+    test, *_ = residual_test
+    figure = residuals_figure(test)
+    axes = np.array(figure.axes).reshape(2, 3)
+    assert [ax.get_title() for ax in axes[0]] == [
+        "autocorrelation",
+        "correlation with $u_{x}$",
+        "correlation with $u_{y}$",
+    ]
+    assert [ax.get_ylabel() for ax in axes[:, 0]] == ["$p_{x}$", "$p_{y}$"]
+    assert {ax.get_xlabel() for ax in axes[1]} == {"lag [samples]"}
+    said = [[ax.texts[0].get_text().split(",")[0] for ax in row] for row in axes]
+    assert said[0] == ["white", "independent", "independent"]
+    assert said[1][1:] == ["follow", "independent"]
+    figure.draw_without_rendering()
+    for ax in axes.flat:  # what is said lies within its panel
+        box, inside = ax.texts[0].get_window_extent(), ax.get_window_extent()
+        assert inside.x0 <= box.x0
+        assert box.x1 <= inside.x1
+        assert box.y1 <= inside.y1
+    above = axes[0, 1].child_axes[0]
+    assert above.get_xlabel() == "lag [ms]"
+    lag, time = axes[0, 1].get_xlim()[1], above.get_xlim()[1]
+    assert time == pytest.approx(1e3 * 1e-3 * lag)
+    with pytest.raises(UsageError, match="2 rows of 3 axes"):
+        plot_residuals(test, [[Figure().subplots()]])
+
+
+def test_report_gives_figures_when_asked_and_not_before():
+    code = (
+        "import sys, gbid.report\n"
+        "assert 'matplotlib' not in sys.modules\n"
+        "from gbid.report import response_figure, residuals_figure, save_figure, plot_residuals\n"
+        "assert dir(gbid.report) == sorted(gbid.report.__all__)\n"
+        "for name in gbid.report.__all__: assert callable(getattr(gbid.report, name))\n"
+        "try:\n    gbid.report.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
 
 
 @pytest.mark.parametrize(

@@ -137,7 +137,9 @@ def test_wrong_local_parameters_are_refused(what):
         fit(LAG, [lag_data(name="r0"), lag_data(name="r1")], **options)
 
 
-@pytest.mark.parametrize("options", [{"local": {"b": "recording"}}, {"offsets": True}, {"left_out": {"data": [(5, 9)]}}])
+@pytest.mark.parametrize(
+    "options", [{"local": {"b": "recording"}}, {"offsets": True}, {"left_out": {"data": [(5, 9)]}}]
+)
 def test_recordings_that_are_told_apart_by_name_must_have_their_own(options):
     with pytest.raises(UsageError, match="several recordings are named 'data'"):
         fit(LAG, [lag_data(seed=1), lag_data(seed=2)], **options)
@@ -437,7 +439,10 @@ WRONG = {
         {"horizon": 2, "left_out": {"data": [(20, 30)]}},
         "left_out with a disturbance gain and a horizon beyond 1 is not possible",
     ),
-    "weights": ({"output_weights": [1.0, 2.0]}, r"output_weights = \[1.0, 2.0\]; give one positive number for each of y"),
+    "weights": (
+        {"output_weights": [1.0, 2.0]},
+        r"output_weights = \[1.0, 2.0\]; give one positive number for each of y",
+    ),
     "weight of zero": ({"output_weights": [0.0]}, "give one positive number for each of y"),
     "weight of nan": ({"output_weights": [np.nan]}, "give one positive number for each of y"),
     "prior of a stranger": ({"prior": {"q": (1.0, 1.0)}}, "prior names a parameter that is not estimated: q"),
@@ -479,7 +484,11 @@ def cost_slopes(result, rec, cost):
     for name in result.free:
         step = 1e-2 * result.std_with("white")[name]
         ends = [
-            cost(simulation_errors(rec, {**result.parameters, name: result.parameters[name] + s}, result.initial_states[0]))
+            cost(
+                simulation_errors(
+                    rec, {**result.parameters, name: result.parameters[name] + s}, result.initial_states[0]
+                )
+            )
             for s in (step, -step)
         ]
         slopes.append((ends[0] - ends[1]) / (2 * step) * result.std_with("white")[name])

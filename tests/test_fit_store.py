@@ -24,7 +24,18 @@ def result(data):
 
 
 def assert_same(a, b):
-    scalars = ("structure", "loss", "status", "success", "iterations", "wall_time_s", "trusted", "aic", "fpe", "condition")
+    scalars = (
+        "structure",
+        "loss",
+        "status",
+        "success",
+        "iterations",
+        "wall_time_s",
+        "trusted",
+        "aic",
+        "fpe",
+        "condition",
+    )
     for name in (*scalars, "recordings", "free", "notes", "local_names"):
         assert getattr(a, name) == getattr(b, name), name
         assert type(getattr(a, name)) is type(getattr(b, name)), name

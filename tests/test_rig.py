@@ -347,3 +347,32 @@ def test_bad_input_is_one_clear_line(call, words):
     with pytest.raises(UsageError, match=words) as caught:
         call()
     assert "\n" not in str(caught.value)
+
+
+def test_a_machine_from_parameters_by_name():
+    """The names of a model, in any order and with others among them."""
+    p = {
+        f"{letter}_{pair}": 10.0 * i + j
+        for i, letter in enumerate("kdb")
+        for j, pair in enumerate(("xx", "xy", "yx", "yy"))
+    }
+    p |= {"tau_x": 1e-4, "tau_y": 2e-4, "bd_xx": 1.0}
+    a = {
+        f"{name}_{axis}": 1.0 + 10 * i + j
+        for i, name in enumerate(("p1", "p2", "kappa"))
+        for j, axis in enumerate("xy")
+    }
+    machine = Machine.from_parameters(dict(reversed(p.items())), {**p, **a}, sensors=SensorChain(noise_p=0.0))
+    bearing = machine.rotor_bearing
+    np.testing.assert_array_equal(bearing.stiffness, [[0, 1], [2, 3]])
+    np.testing.assert_array_equal(bearing.damping, [[10, 11], [12, 13]])
+    np.testing.assert_array_equal(bearing.input_gain, [[20, 21], [22, 23]])
+    np.testing.assert_array_equal(bearing.delay, [1e-4, 2e-4])
+    np.testing.assert_array_equal(machine.actuator.slow_pole, [1, 2])
+    np.testing.assert_array_equal(machine.actuator.fast_pole, [11, 12])
+    np.testing.assert_array_equal(machine.actuator.gain, [21, 22])
+    assert (machine.sensors.noise_p, machine.unbalance, machine.clearance) == (0.0, Unbalance(), 25e-6)
+    with pytest.raises(UsageError, match="rotor bearing: no value for tau_y"):
+        Machine.from_parameters({key: value for key, value in p.items() if key != "tau_y"}, a)
+    with pytest.raises(UsageError, match="actuator: no value for p1_x, p2_x"):
+        Machine.from_parameters(p, {key: value for key, value in a.items() if key not in ("p1_x", "p2_x")})

@@ -85,22 +85,17 @@ def test_for_coloured_noise_the_robust_one_is_that_of_theory(n, rho):
         assert (white > 1.2 * expected).all()
 
 
-@pytest.mark.parametrize(("rho", "kind"), [(0.0, "white"), (0.0, "robust"), (0.9, "robust")])
-def test_stated_intervals_cover_the_spread_of_many_fits(rho, kind):
-    z, values, stated = [], [], []
-    for seed in range(80):
-        result = fit(LAG, lag_data(1500, rho, 1000 + seed))
-        own = stds(result, kind)
-        found = np.array([result.parameters[name] for name in "ab"])
-        z.append((found - [1.5, 2.0]) / own)
-        values.append(found)
-        stated.append(own)
-    # A standard deviation from 80 values is known to 8 %: three of those.
-    ratio = np.mean(stated, axis=0) / np.std(values, axis=0, ddof=1)
-    np.testing.assert_allclose(ratio, 1, atol=0.25)
-    covered = (np.abs(z) < 1.96).mean(axis=0)
-    assert (covered >= 0.86).all()
-    assert (np.abs(np.mean(z, axis=0)) < 4 / np.sqrt(80)).all()
+@pytest.mark.parametrize(("rho", "kinds"), [(0.0, ("white", "robust")), (0.9, ("robust",))])
+def test_stated_intervals_cover_the_spread_of_many_fits(rho, kinds):
+    results = [fit(LAG, lag_data(1500, rho, 1000 + seed)) for seed in range(80)]
+    values = np.array([[r.parameters[name] for name in "ab"] for r in results])
+    for kind in kinds:
+        stated = np.array([stds(r, kind) for r in results])
+        z = (values - [1.5, 2.0]) / stated
+        # A standard deviation from 80 values is known to 8 %: three of those.
+        np.testing.assert_allclose(stated.mean(axis=0) / values.std(axis=0, ddof=1), 1, atol=0.25)
+        assert ((np.abs(z) < 1.96).mean(axis=0) >= 0.86).all()
+        assert (np.abs(z.mean(axis=0)) < 4 / np.sqrt(80)).all()
 
 
 def test_the_trace_of_unequal_and_correlated_outputs():
@@ -211,7 +206,7 @@ def test_correlation_of_nothing_is_nothing():
     np.testing.assert_array_equal(correlation(np.zeros(20), np.ones(20), 4), np.zeros(5))
 
 
-@pytest.mark.parametrize(("rho", "low", "high"), [(0.0, 1, 1), (0.5, 3, 12), (0.9, 12, 60), (0.97, 30, 200)])
+@pytest.mark.parametrize(("rho", "low", "high"), [(0.0, 1, 1), (0.5, 3, 12), (0.9, 12, 60), (0.97, 20, 200)])
 @pytest.mark.parametrize("n", [3000, 12000])
 def test_the_memory_of_noise_is_found_and_no_more(rho, low, high, n):
     """Estimated correlations of coloured noise wander: they must not be taken for a long memory."""

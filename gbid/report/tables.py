@@ -118,13 +118,13 @@ def prefilter_table(rows: Sequence[Row]) -> Table:
 def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     """Fit percent of each model on each recording, simulated, and what the residuals say."""
     missed = any(row["missed"] for row in rows)
-    columns = ["model of", "on", "output", "fit\n[%]", "largest\nerror", "unit", "residuals\nwhite", "follow"]
-    left = ("model of", "on", "output", "unit", "follow", "")
+    columns = ["model of", "on", "output", "fit\n[%]", "largest\nerror", "residuals\nwhite", "follow"]
+    left = ("model of", "on", "output", "follow", "")
     table = _table(f"{title}, cross-validation, simulated", [*columns, *([""] if missed else [])], left=left)
     for row in rows:
         factor, unit = (1e6, "µm") if row["unit"] == "m" else (1.0, row["unit"])
         cells = [row[key] for key in ("model", "recording", "output")]
-        cells += [f"{row['fit_percent']:.2f}", engineering(factor * row["infinity_norm"], 3), unit]
+        cells += [f"{row['fit_percent']:.2f}", f"{engineering(factor * row['infinity_norm'], 3)} {unit}"]
         cells += ["yes" if row["residuals_white"] else "no", ", ".join(row["residuals_follow"]) or "-"]
         cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
         table.add_row(*cells)

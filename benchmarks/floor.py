@@ -1,0 +1,96 @@
+"""The floor of a pass: its multiply-adds, and what the core delivers on a plain matrix product."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.case import N_STATES, SAMPLE_TIME, STRUCTURE, Samples
+from gbid.identify.assembly import automatic_window
+from gbid.identify.blocks import cut
+from gbid.identify.data import gather
+from gbid.identify.engine import CompiledEngine, pattern_of
+from gbid.identify.kernel_source import KernelPattern
+from gbid.identify.predictor import build_predictor
+from gbid.identify.sweep import block_sums, powers_of, sweep
+
+
+@dataclass(frozen=True)
+class Floor:
+    """One pass over the samples against the multiply-adds in it.
+
+    Attributes
+    ----------
+    compile_s : float
+        Time to compile the kernel, or to load it where it was compiled before [s].
+    operations : int
+        Multiply-adds that a pass needs for one sample; products with zero not counted.
+    rate : float
+        Multiply-adds per second in a matrix product.
+    floor_s : float
+        The pass's multiply-adds at this rate [s].
+    kernel_s, pass_s : float
+        The recursion and its sums; the same with the linking of the windows [s].
+    """
+
+    compile_s: float
+    operations: int
+    rate: float
+    floor_s: float
+    kernel_s: float
+    pass_s: float
+
+
+def operations_per_sample(pattern: KernelPattern) -> int:
+    """Count the multiply-adds that states, sensitivities and sums need for one sample.
+
+    Every nonzero of a matrix meets one number; a symmetric sum is needed once.
+    """
+    n_y, n = pattern.C.shape
+    n_p = len(pattern.dF)
+    triangle = n_y * (n_y + 1) // 2
+    state = sum(int(matrix.sum()) for matrix in (pattern.F, pattern.G, pattern.C, pattern.H))
+    shared = int(pattern.F.sum() + pattern.C.sum())
+    sensitivities = n_p * shared + sum(int(m.sum()) for m in (pattern.dF, pattern.dG, pattern.dC, pattern.dH))
+    weighting = (1 + n_p) * triangle
+    sums = triangle + n_y * (n_p * (n_p + 1) // 2 + n_p + n_p * n + n)
+    return state + sensitivities + weighting + sums
+
+
+def measure_floor(samples: Samples, parameters: Mapping[str, float], repeats: int) -> Floor:
+    """Time a pass at given parameter values, and a matrix product."""
+    data = gather([samples.recording()], STRUCTURE.inputs, STRUCTURE.outputs, minimum=100)
+    predictor = build_predictor(STRUCTURE, {}, SAMPLE_TIME, STRUCTURE.intersample, "prediction")
+    theta = np.array([parameters[q.name] for q in predictor.free])
+    v = predictor.at(np.where(theta == 0, 1e-3, theta))
+    began = time.perf_counter()
+    engine = CompiledEngine([v])
+    compile_s = time.perf_counter() - began
+    blocks = cut(data, predictor, automatic_window(data, "prediction"))
+    starts, weight = np.zeros((blocks.n_windows, N_STATES)), np.eye(2)
+    powers = powers_of(v.F, blocks.length)
+    kernel_s = _fastest(lambda: block_sums(v, blocks, starts, weight, powers, engine), repeats)
+    pass_s = _fastest(lambda: sweep(v, blocks, starts, weight, engine), repeats)
+    operations, rate = operations_per_sample(pattern_of(v)), product_rate(repeats)
+    return Floor(compile_s, operations, rate, operations * len(samples.p) / rate, kernel_s, pass_s)
+
+
+def product_rate(repeats: int, size: int = 768) -> float:
+    """Multiply-adds per second of numpy's product of two square matrices, on one thread."""
+    left, right = np.random.default_rng(0).standard_normal((2, size, size))
+    out = np.empty((size, size))
+    return size**3 / _fastest(lambda: np.matmul(left, right, out=out), repeats)
+
+
+def _fastest(call: Callable[[], object], repeats: int) -> float:
+    """Shortest of several runs after one that does not count [s]."""
+    call()
+    times = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - began)
+    return min(times)

@@ -1,0 +1,125 @@
+"""The table of a stored run, as Markdown. Nothing but the standard library: the docs import it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+NAMES = {
+    "compiled": "gbid, compiled",
+    "numpy": "gbid, numpy",
+    "scipy": "(a) scipy least_squares",
+    "casadi": "(b) CasADi mapaccum, IPOPT",
+}
+TARGETS = {  # what the project has promised, by name of the figure: (at most or at least, number)
+    "fit_s": ("at most", 0.3),
+    "numpy_s": ("at most", 8.0),
+    "scipy_ratio": ("at least", 140.0),
+    "casadi_ratio": ("at least", 60.0),
+    "growth": ("at most", 45.0),
+}
+_TITLES = {
+    "fit_s": "a fit, N = 25 000 [s]",
+    "numpy_s": "the same without a compiler [s]",
+    "scipy_ratio": "times faster than (a)",
+    "casadi_ratio": "times faster than (b), build not counted",
+    "growth": "time at N = 1 000 000 over 25 000",
+}
+_REFERENCE = 25_000
+_LARGEST = 1_000_000
+
+
+def speed_table(run: Mapping[str, Any]) -> str:
+    """One row per method and recording."""
+    head = ("N", "method", "time [s]", "build [s]", "iterations", "memory [MB]", "loss / gbid's - 1", "time / gbid's")
+    rows = []
+    for fit in run["fits"]:
+        own = _find(run, fit["n_samples"], "compiled")
+        rows.append(
+            (
+                _grouped(fit["n_samples"]),
+                NAMES[fit["method"]],
+                f"{fit['time_s']:.3g}",
+                f"{fit['build_s']:.2g}" if fit["build_s"] else "",
+                f"{fit['iterations']}" + ("" if fit["success"] else " (not converged)"),
+                f"{fit['memory_bytes'] / 1e6:.0f}",
+                f"{fit['loss'] / own['loss'] - 1:+.0e}" if fit is not own else "",
+                f"{fit['time_s'] / own['time_s']:.0f}" if fit is not own else "",
+            )
+        )
+    return _markdown(head, rows)
+
+
+def target_table(run: Mapping[str, Any]) -> str:
+    """Promised and measured; empty for a quick run, which measures none of it."""
+    found = figures(run)
+    head = ("", "promised", "measured", "")
+    rows = []
+    for name, value in found.items():
+        bound, limit = TARGETS[name]
+        kept = value <= limit if bound == "at most" else value >= limit
+        rows.append((_TITLES[name], f"{bound} {limit:g}", f"{value:.3g}", "kept" if kept else "missed"))
+    return _markdown(head, rows) if rows else ""
+
+
+def figures(run: Mapping[str, Any]) -> dict[str, float]:
+    """The figures that were promised, as far as the run has them."""
+    time = {m: f["time_s"] for m in NAMES if (f := _find(run, _REFERENCE, m))}
+    largest = _find(run, _LARGEST, "compiled")
+    found = {}
+    if "compiled" in time:
+        found["fit_s"] = time["compiled"]
+        for name, method in (("scipy_ratio", "scipy"), ("casadi_ratio", "casadi")):
+            if method in time:
+                found[name] = time[method] / time["compiled"]
+        if largest:
+            found["growth"] = largest["time_s"] / time["compiled"]
+    if "numpy" in time:
+        found["numpy_s"] = time["numpy"]
+    return {name: found[name] for name in TARGETS if name in found}
+
+
+def notes(run: Mapping[str, Any]) -> str:
+    """The floor, the compiler and the machine in a few lines."""
+    floor, n = run["floor"], run["floor"]["n_samples"]
+    lines = [
+        f"- A pass over {_grouped(n)} samples needs {floor['operations']} multiply-adds for each sample. In a matrix "
+        f"product this core does {floor['rate'] / 1e9:.1f} thousand million a second: a floor of "
+        f"{1e3 * floor['floor_s']:.2f} ms. The kernel takes {1e3 * floor['kernel_s']:.2f} ms "
+        f"({floor['kernel_s'] / floor['floor_s']:.1f} times the floor), the whole pass with the linking of the windows "
+        f"{1e3 * floor['pass_s']:.2f} ms ({floor['pass_s'] / floor['floor_s']:.1f} times).",
+        f"- Compiling the kernel takes {run['compile_s']:.1f} s, once per machine and model size.",
+    ]
+    largest = _find(run, _LARGEST, "compiled")
+    if largest:
+        per_sample = largest["memory_bytes"] / largest["n_samples"]
+        lines.append(f"- At {_grouped(_LARGEST)} samples a fit needs {per_sample:.0f} bytes per sample.")
+    busy = [f for f in run["fits"] if f["cpu_s"] < 0.9 * f["time_s"]]
+    if busy:
+        names = ", ".join(f"{NAMES[f['method']]} at {_grouped(f['n_samples'])} ({f['cpu_s']:.3g} s)" for f in busy)
+        lines.append(f"- The core was shared with other work; processor time apart from wall time: {names}.")
+    versions = ", ".join(f"{name} {version}" for name, version in run["versions"].items())
+    lines.append(f"- {run['date']}, {run['processor']}, one core; {versions}.")
+    return "\n".join(lines)
+
+
+def whole(run: Mapping[str, Any]) -> str:
+    """All of it."""
+    return "\n\n".join(part for part in (speed_table(run), target_table(run), notes(run)) if part)
+
+
+def _find(run: Mapping[str, Any], n_samples: int, method: str) -> Any:
+    return next((f for f in run["fits"] if (f["n_samples"], f["method"]) == (n_samples, method)), None)
+
+
+def _grouped(number: int) -> str:
+    return f"{number:,}".replace(",", " ")
+
+
+def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    widths = [max(len(row[i]) for row in (head, *rows)) for i in range(len(head))]
+    ruled = [["-" * width for width in widths]]
+    return "\n".join(
+        "| " + " | ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)) + " |"
+        for row in (head, *ruled, *rows)
+    )

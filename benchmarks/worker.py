@@ -1,0 +1,75 @@
+"""One method on one recording, in a process of its own: a request on stdin, an answer on stdout, both JSON.
+
+``python -m benchmarks.worker`` is started by `benchmarks.fit_speed` with one thread in each BLAS.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+import time
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from threadpoolctl import threadpool_limits
+
+import gbid
+from benchmarks.answer import Answer
+from benchmarks.case import STRUCTURE, Samples
+from benchmarks.casadi_baseline import fit_with_casadi
+from benchmarks.floor import measure_floor
+from benchmarks.scipy_baseline import fit_with_scipy
+
+_UNIT = 1 if sys.platform == "darwin" else 1024  # unit of ru_maxrss in bytes
+
+
+def main() -> None:
+    """Read the request, run it, write the answer."""
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+    request = json.load(sys.stdin)
+    samples = Samples.load(Path(request["samples"]))
+    with threadpool_limits(1):
+        json.dump(run(request["method"], samples, request["repeats"], request["start"]), sys.stdout)
+
+
+def run(method: str, samples: Samples, repeats: int, start: Mapping[str, float]) -> dict[str, Any]:
+    """Run a method `repeats` times and give the fastest; the memory is that of the first run."""
+    if method == "floor":
+        return asdict(measure_floor(samples, start, repeats))
+    recording = samples.recording()
+    before = _peak_bytes()
+    answers = []
+    for i in range(repeats):
+        answers.append(
+            fit_with_scipy(samples, start)
+            if method == "scipy"
+            else fit_with_casadi(samples, start)
+            if method == "casadi"
+            else fit_with_gbid(recording, method)
+        )
+        if i == 0:
+            memory = _peak_bytes() - before
+    best = min(answers, key=lambda answer: answer.time_s)
+    return {**asdict(best), "first_time_s": answers[0].time_s, "memory_bytes": memory}
+
+
+def fit_with_gbid(recording: gbid.Recording, engine: str) -> Answer:
+    """All that `gbid.fit` does: start values from the data, solver, covariance, tests of the residuals."""
+    began, spent = time.perf_counter(), time.process_time()
+    result = gbid.fit(STRUCTURE, recording, engine=engine)
+    wall, cpu = time.perf_counter() - began, time.process_time() - spent
+    return Answer(wall, cpu, 0.0, result.iterations, result.loss, result.success, dict(result.start))
+
+
+def _peak_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _UNIT
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,140 @@
+"""Fits from several starts."""
+
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, H, levels, simulated
+
+from gbid.errors import UsageError
+from gbid.identify import fit, fit_multistart
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, evaluate
+
+# One mode whose frequency is bounded widely: its cost has a dip at each multiple that the input excites.
+WIDE = LinearStructure(
+    "wide",
+    [
+        Parameter("w", 1.0, lower=0.5, upper=30.0, unit="rad/s"),
+        Parameter("z", 0.5, lower=0.005, upper=1.0),
+        Parameter("g", 0.1),
+    ],
+    lambda p: {"A": [[0, 1], [-p.w * p.w, -2 * p.z * p.w]], "B": [[0], [p.g * p.w * p.w]], "C": [[1, 0]]},
+)
+WIDE_AT = {"w": 12.0, "z": 0.02, "g": 2.0}
+
+
+@pytest.fixture(scope="module")
+def rec():
+    return simulated(WIDE, WIDE_AT, levels(600, hold=2), noise=0.3)
+
+
+@pytest.fixture(scope="module")
+def result(rec):
+    return fit_multistart(WIDE, rec, starts=8, seed=1, window=None)
+
+
+def test_the_best_of_several_starts_is_the_truth(rec, result):
+    assert result.losses.shape == result.converged.shape == (8,)
+    own = fit(WIDE, rec, window=None)
+    assert result.losses[0] == own.loss  # the structure's own start comes first
+    assert own.loss > 2 * result.best.loss  # and ends elsewhere: that is what the others are for
+    assert result.best.success
+    assert result.best.loss == result.losses[result.converged].min()
+    for name, value in WIDE_AT.items():
+        assert abs(result.best.parameters[name] - value) < 4 * result.best.std_with("white")[name]
+
+
+def test_the_counts_are_those_of_the_losses(result):
+    good = result.losses[result.converged]
+    assert result.same_optimum == (good <= result.best.loss * (1 + 1e-6)).sum() >= 2
+    assert result.spread == pytest.approx(good.max() / good.min())
+    assert result.spread > 2
+
+
+def test_the_seed_settles_the_starts(rec, result):
+    again = fit_multistart(WIDE, rec, starts=8, seed=1, window=None)
+    np.testing.assert_array_equal(again.losses, result.losses)
+    assert again.best.start == result.best.start
+    other = fit_multistart(WIDE, rec, starts=3, seed=2, window=None)
+    assert (other.losses[1:] != result.losses[1:3]).any()
+    assert other.losses[0] == result.losses[0]
+
+
+def test_starts_lie_within_bounds_and_reach(monkeypatch):
+    """Between two finite bounds; else within reach of the start, and about zero where that is zero."""
+    seen = []
+
+    def watched(structure, recordings, **options):
+        seen.append(options.get("start"))
+        return fit(structure, recordings, **options)
+
+    monkeypatch.setattr("gbid.identify.multistart.fit", watched)
+    structure = LinearStructure(
+        "four",
+        [
+            Parameter("a", 2.0, lower=1.0, upper=9.0),
+            Parameter("b", 4.0),
+            Parameter("c", 0.0),
+            Parameter("d", 0.5, lower=0.45),
+            Parameter("e", 1.0),
+            Parameter("f", 1.0, fixed=True),
+        ],
+        lambda p: {"A": [[-p.a]], "B": [[p.b + p.f - p.e]], "C": [[1]], "D": [[p.c + p.d]]},
+    )
+    rec = simulated(MODE, MODE_AT, levels(100), noise=0.3)
+    options = {"max_iterations": 1, "window": None, "fixed": {"e": 1.0}}
+    fit_multistart(structure, rec, starts=40, seed=0, reach=0.25, bounds={"a": (1.5, 6.0)}, **options)
+    assert len(seen) == 40
+    drawn = {name: np.array([s[name] for s in seen[1:]]) for name in "abcd"}
+    assert all(set(s) == set("abcd") for s in seen[1:])
+    for name, low, high in (("a", 1.5, 6.0), ("b", 3.0, 5.0), ("c", -0.25, 0.25), ("d", 0.45, 0.625)):
+        assert low <= drawn[name].min() < low + 0.2 * (high - low), name
+        assert high - 0.2 * (high - low) < drawn[name].max() <= high, name
+
+
+def test_a_start_of_ones_own_is_the_first_and_the_centre(rec):
+    found = fit_multistart(WIDE, rec, starts=2, seed=3, reach=1e-6, start={"w": 11.5, "g": 2.0, "z": 0.05}, window=None)
+    own = fit(WIDE, rec, start={"w": 11.5, "g": 2.0, "z": 0.05}, window=None)
+    assert found.losses[0] == own.loss
+    assert found.best.success
+
+
+def test_one_start_is_a_plain_fit(rec):
+    found = fit_multistart(WIDE, rec, starts=1, start=WIDE_AT)
+    own = fit(WIDE, rec, start=WIDE_AT)
+    assert found.best.parameters == own.parameters
+    assert (found.same_optimum, found.spread) == (1, 1.0)
+
+
+def test_starts_that_fail_are_counted_as_such():
+    """A wild start overflows: a status among the others, not the end of them all."""
+    wild = LinearStructure(
+        "wild",
+        [Parameter("a", -1.0, lower=-5.0, upper=300.0), Parameter("b", 1.0)],
+        lambda p: {"A": [[p.a]], "B": [[p.b]], "C": [[1]]},
+    )
+    u = levels(2000)
+    y = evaluate(wild, {"a": -1.0, "b": 1.0}).simulate(u, H) + 0.1 * np.random.default_rng(0).normal(size=(2000, 1))
+    found = fit_multistart(wild, Recording({"u": u, "y": y}, H), starts=5, seed=0, window=None, max_iterations=30)
+    assert found.best.success
+    assert found.best.parameters["a"] == pytest.approx(-1.0, abs=0.1)
+    assert not found.converged.all()
+    assert found.converged[0]
+    assert np.isfinite(found.spread)
+
+
+def test_local_parameters_can_be_started_anew():
+    recs = [
+        simulated(WIDE, {**WIDE_AT, "g": g}, levels(300, seed=i), noise=0.3, name=f"r{i}")
+        for i, g in enumerate((1.0, 3.0))
+    ]
+    found = fit_multistart(WIDE, recs, starts=3, seed=0, reach=0.1, local={"g": "recording"}, start=WIDE_AT)
+    assert found.best.success
+    assert found.best.parameters["g[r1]"] == pytest.approx(3.0, abs=0.2)
+
+
+@pytest.mark.parametrize("wrong", [{"starts": 0}, {"reach": 0.0}, {"reach": -1.0}])
+def test_wrong_use_is_refused(rec, wrong):
+    with pytest.raises(UsageError, match="must be at least 1 and reach"):
+        fit_multistart(WIDE, rec, **wrong)
+    with pytest.raises(UsageError, match="focus = 'both'"):
+        fit_multistart(WIDE, rec, focus="both")

@@ -1,0 +1,31 @@
+"""What travels inside the wheel, and from where; read from the build's own settings."""
+
+import tomllib
+from pathlib import Path
+
+from gbid.share import share_folder
+
+ROOT = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+WHEEL = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
+
+
+def test_every_experiment_is_in_the_wheel_and_no_result_of_one():
+    included = WHEEL["force-include"]
+    files = {p.relative_to(ROOT) for p in (ROOT / "experiments").rglob("*") if p.suffix in (".yaml", ".py")}
+    own = {str(p) for p in files if not {"results", "__pycache__"} & set(p.parts)}
+    assert {source for source in included if source.startswith("experiments")} == own
+    for source, target in included.items():
+        path = ROOT / source
+        assert path.exists()
+        assert target == f"gbid/_share/{source}"
+        # a folder is taken as it is, so it must be one that no run writes to
+        assert path.is_file() or not list(path.rglob("results"))
+
+
+def test_the_package_brings_its_types_and_its_style():
+    assert WHEEL["packages"] == ["gbid"]
+    assert (ROOT / "gbid" / "py.typed").is_file()
+    assert (ROOT / "gbid" / "report" / "gbid.mplstyle").is_file()
+    assert (share_folder("models") / "theisen2016.yaml").is_file()
+    assert (share_folder("experiments") / "quickstart.yaml").is_file()

@@ -1,0 +1,201 @@
+"""Tests of residuals: known correlations, a delay that is wrong, bands that cover what they say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, H, innovations, levels, simulated
+from scipy.signal import lfilter
+from scipy.stats import kstest, norm
+
+from gbid.errors import DataError, UsageError
+from gbid.identify import fit
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, evaluate
+from gbid.validate import check_residuals
+
+LAG = LinearStructure(
+    "lag",
+    [Parameter("a", 1.0, lower=0.01, upper=50.0), Parameter("b", 1.0), Parameter("k", 0.0)],
+    lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]], "K": [[p.k]]},
+)
+LAG_AT = {"a": 1.5, "b": 2.0, "k": 3.0}
+
+
+def held(result_of, values):
+    """A result whose model has given values: residuals without an estimate in them."""
+    return replace(result_of, model=evaluate(LAG, values, ("u",), ("y",)))
+
+
+@pytest.fixture(scope="module")
+def data():
+    return innovations(LAG, LAG_AT, levels(4000, seed=2), noise=[0.3], name="first")
+
+
+@pytest.fixture(scope="module")
+def result(data):
+    return fit(LAG, data)
+
+
+def test_the_residuals_of_the_true_model_are_white(data, result):
+    found = check_residuals(result, data)
+    assert found.recording == "first"
+    assert found.p_white.shape == (1,)
+    assert found.p_white[0] > 0.01
+    assert (found.input_names, found.output_names) == (("u",), ("y",))
+    np.testing.assert_array_equal(found.lags, np.arange(51))
+    np.testing.assert_array_equal(found.cross_lags, np.arange(-50, 51))
+    np.testing.assert_allclose(found.time, H * np.arange(51))
+    assert found.autocorrelation[0, 0] == pytest.approx(1.0)
+    assert found.verdict == (f"y: residuals white (p = {found.p_white[0]:.2g})",)
+    assert found.outside[0, 0] < 0.1
+    assert found.p_independent[0, 0] > 0.01
+    assert found.band == pytest.approx(norm.ppf(0.995) / np.sqrt(4000))
+    assert found.rms[0] == pytest.approx(np.sqrt(result.loss), rel=1e-3)
+    assert found.fit_percent[0] == pytest.approx(result.fit_percent[0, 0], abs=0.05)
+
+
+def test_all_numbers_are_those_of_numpy(data, result):
+    """The residuals by the model's own predict, their correlations by sums."""
+    short = data.slice(0, 400)
+    found = check_residuals(result, short, lags=12)
+    u, y = short.signal("u"), short.signal("y")
+
+    def error(x0):
+        return (y - result.model.predict(u, y, H, initial_state=[x0]))[:, 0]
+
+    # The initial state is the one of the simulation that comes nearest.
+    runs = [(y - result.model.simulate(u, H, initial_state=[x0]))[:, 0] for x0 in (0.0, 1.0)]
+    free = runs[0] - runs[1]
+    x0 = (free @ runs[0]) / (free @ free)
+    e = error(x0)
+    assert found.infinity_norm[0] == pytest.approx(np.abs(e).max(), rel=1e-6)
+    assert found.rms[0] == pytest.approx(np.sqrt(np.mean(e**2)), rel=1e-6)
+    e, v = e - e.mean(), u[:, 0] - u.mean()
+    auto = np.correlate(e, e, "full")[399 : 399 + 13] / (e @ e)
+    np.testing.assert_allclose(found.autocorrelation[0], auto, atol=1e-6)
+    cross = np.correlate(e, v, "full")[399 - 12 : 399 + 13] / np.sqrt((e @ e) * (v @ v))
+    np.testing.assert_allclose(found.crosscorrelation[0, 0], cross, atol=1e-6)
+    inside = np.abs(cross[12:]) <= found.cross_band[0, 0]
+    assert found.outside[0, 0] == pytest.approx(1 - inside.mean())
+
+
+@pytest.mark.parametrize("rho", [0.8, -0.6])
+def test_a_known_autocorrelation(result, rho):
+    """Output noise of a known colour, in simulation focus: rho to the power of the lag."""
+    u = levels(20000, seed=3)
+    e = lfilter([0.2], [1, -rho], np.random.default_rng(5).normal(size=(20000, 1)), axis=0)
+    rec = Recording({"u": u, "y": evaluate(LAG, LAG_AT).simulate(u, H) + e}, H, name="coloured")
+    own = replace(held(result, LAG_AT), options={**result.options, "focus": "simulation"})
+    found = check_residuals(own, rec, lags=20)
+    np.testing.assert_allclose(found.autocorrelation[0], rho ** np.arange(21), atol=0.06)
+    assert found.p_white[0] < 1e-10
+    assert "not white" in found.verdict[0]
+    assert found.outside[0, 0] < 0.1  # coloured, but nothing of the input is in it
+
+
+def test_a_delay_that_is_left_out_shows_at_its_lags():
+    """The model acts at once, the system three samples late: the input's next samples are missing from it."""
+    late = LinearStructure(
+        "late",
+        LAG.parameters[:2],
+        lambda p: {"A": [[-p.a]], "B": [[0]], "B_delayed": [[p.b]], "delay": [0.3], "C": [[1]]},
+    )
+    u = np.random.default_rng(1).choice([-1.0, 1.0], (5000, 1))  # white, so that each lag stands for itself
+    truth = {"a": 1.5, "b": 2.0}
+    rec = simulated(late, truth, u, noise=0.05)
+    at_once = fit(LAG, rec, focus="simulation")
+    wrong = check_residuals(at_once, rec, lags=30)
+    right = check_residuals(fit(late, rec), rec, lags=30)
+    assert right.outside[0, 0] < 0.1
+    assert right.p_independent[0, 0] > 0.01
+    assert wrong.p_independent[0, 0] < 1e-6
+    assert not [word for word in right.verdict if "follow" in word]
+    assert wrong.outside[0, 0] > 0.1
+    assert any("y: residuals still follow u: the structure leaves something out" in word for word in wrong.verdict)
+    # With the true values at once: what is missing is h(t - 3) - h(t), most at the lags of the delay.
+    held_model = replace(at_once, model=evaluate(LAG, {**truth, "k": 0.0}, ("u",), ("y",)))
+    known = check_residuals(held_model, rec, lags=30)
+    response = 2.0 * np.exp(-1.5 * H * np.arange(40)) * (1 - np.exp(-1.5 * H)) / 1.5
+    pulse = np.concatenate([np.zeros(31), response])[:61]  # held input: first seen one sample later
+    missing = np.concatenate([np.zeros(3), pulse[:-3]]) - pulse
+    expected = missing / np.sqrt(np.sum(missing**2) + 0.05**2)
+    np.testing.assert_allclose(known.crosscorrelation[0, 0], expected, atol=0.06)
+    assert np.abs(known.crosscorrelation[0, 0])[31:].argmax() in (0, 3)
+    assert not (np.abs(known.crosscorrelation[0, 0, :30]) > 2 * known.cross_band[0, 0]).any()  # causal
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.8])
+@pytest.mark.parametrize("hold", [1, 8])
+def test_bands_cover_ninety_nine_of_a_hundred(result, rho, hold):
+    """For residuals of any colour and inputs of any colour, as long as one has nothing of the other."""
+    outside_cross, outside_auto, chance = [], [], []
+    own = replace(held(result, {**LAG_AT, "k": 0.0}), options={**result.options, "focus": "simulation"})
+    for seed in range(40):
+        random = np.random.default_rng(100 + seed)
+        u = np.repeat(random.choice([-1.0, 1.0], (2000 // hold, 1)), hold, axis=0)
+        e = lfilter([0.2], [1, -rho], random.normal(size=(2000, 1)), axis=0)
+        rec = Recording({"u": u, "y": own.model.simulate(u, H) + e}, H)
+        found = check_residuals(own, rec, lags=30)
+        outside_cross.append((np.abs(found.crosscorrelation) > found.cross_band[:, :, None]).mean())
+        outside_auto.append((np.abs(found.autocorrelation[0, 1:]) > found.band).mean())
+        chance.append(found.p_independent[0, 0])
+    assert kstest(chance, "uniform").pvalue > 1e-3
+    assert 0.002 < np.mean(outside_cross) < 0.03
+    if rho == 0:
+        assert 0.004 < np.mean(outside_auto) < 0.02
+    else:
+        assert np.mean(outside_auto) > 0.2
+
+
+def test_another_recording_may_be_tested(data, result):
+    other = innovations(LAG, LAG_AT, levels(2000, seed=9), noise=[0.3], seed=7, name="second")
+    found = check_residuals(result, other)
+    assert found.recording == "second"
+    assert found.p_white[0] > 1e-3
+    assert found.rms[0] == pytest.approx(0.3, rel=0.1)
+
+
+def test_a_poor_gain_shows_as_colour(data, result):
+    poor = check_residuals(held(result, {**LAG_AT, "k": 0.0}), data)
+    assert poor.p_white[0] < 1e-6
+    assert poor.rms[0] > check_residuals(result, data).rms[0]
+
+
+def test_several_inputs_and_outputs_have_their_names():
+    two = LinearStructure(
+        "two",
+        [Parameter("a", 1.0), Parameter("b", 1.0), Parameter("c", 1.0)],
+        lambda p: {"A": [[-p.a, 0], [0, -2]], "B": [[p.b, 0], [0, p.c]], "C": [[1, 0], [0, 1]]},
+    )
+    u = levels(1500, 2, hold=3)
+    clean = evaluate(two, {"a": 1.5, "b": 2.0, "c": 1.0}).simulate(u, H)
+    clean[:, 1] += 0.3 * np.concatenate([[0.0], u[:-1, 0]])  # the second output follows the first input as well
+    rec = Recording({"u": u, "y": clean + 0.1 * np.random.default_rng(1).normal(size=u.shape)}, H)
+    found = check_residuals(fit(two, rec, focus="simulation"), rec, lags=8)
+    assert found.crosscorrelation.shape == (2, 2, 17)
+    assert found.cross_band.shape == found.outside.shape == (2, 2)
+    assert found.outside[1, 0] > 0.1
+    assert found.outside[0].max() < 0.3
+    assert "y_2: residuals still follow u_x: the structure leaves something out" in found.verdict
+    assert not any("y_1" in word and "follow" in word for word in found.verdict)
+    assert found.follows == ((), ("u_x",))
+    assert found.white.tolist() == [True, False]
+
+
+@pytest.mark.parametrize("lags", [0, -1, 101])
+def test_wrong_lags_are_refused(data, result, lags):
+    with pytest.raises(UsageError, match=r"'first' has 400 samples; lags must be 1 to a fourth"):
+        check_residuals(result, data.slice(0, 400), lags=lags)
+
+
+def test_a_recording_without_the_signals_is_refused(result):
+    with pytest.raises(DataError, match="has no signal 'y'"):
+        check_residuals(result, Recording({"u": levels(500)}, H))
+
+
+def test_the_simulation_of_a_mode_leaves_its_white_noise():
+    rec = simulated(MODE, MODE_AT, levels(2000), noise=0.3)
+    found = check_residuals(fit(MODE, rec, focus="simulation"), rec)
+    assert found.p_white[0] > 0.01
+    assert found.rms[0] == pytest.approx(0.3, rel=0.05)
