@@ -52,7 +52,11 @@ def fit_with_casadi(samples: Samples, start: Mapping[str, float], step: str = "e
     hessian = ca.Function(
         "nlp_hess_l", [V, none, sigma, multipliers], [sigma * H], ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"]
     )
-    options = {"hess_lag": hessian, "print_time": False, "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8}}
+    options = {
+        "hess_lag": hessian,
+        "print_time": False,
+        "ipopt": {"print_level": 0, "sb": "yes", "tol": 1e-8, "max_iter": 100},
+    }
     solver = ca.nlpsol("solver", "ipopt", nlp, options)
     built, spent = time.perf_counter(), time.process_time()
 

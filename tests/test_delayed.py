@@ -1,5 +1,7 @@
 """Exact delays: the taps against fine integration, models with them against brute force and high-order Pade."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from fit_cases import ACTUATORS, KEY, TS, fit_data, levels, piezo_motion, predicted, smooth
@@ -43,7 +45,7 @@ def states_by_integration(A, B, B_delayed, delay, u, h, holds, x0):
         for tau in delay:
             edges.add((tau / h % 1.0) * h)
         edges = np.unique(np.round(sorted(edges), 15))
-        for start, stop in zip(edges[:-1], edges[1:], strict=True):
+        for start, stop in pairwise(edges):
             length = stop - start
             drive, slope = np.zeros(n), np.zeros(n)
             for i in range(n_u):

@@ -171,7 +171,7 @@ def test_offsets_of_each_recording():
 
 def test_offsets_with_a_disturbance_gain():
     rec = innovations(EVERY, EVERY_AT, levels(1500, 2, hold=3), noise=[0.2, 0.1])
-    rec = rec.with_signals(y=rec.signal("y") + [3.0, -4.0])
+    rec = rec.with_signals(y=rec.signal("y") + np.array([3.0, -4.0]))
     result = fit(EVERY, rec, start=EVERY_AT, offsets=True)
     truth = {**EVERY_AT, "offset_y_1": 3.0, "offset_y_2": -4.0}
     assert result.free == tuple(truth)

@@ -84,7 +84,8 @@ def test_starts_from_data_alone_lead_to_the_optimum_found_from_the_truth(noise):
         alone = fit(RotorBearing(), recording)
         truth = {n: truth_at(*point)[n] for n in KEY_PARAMETERS}
         reference = fit(RotorBearing(), recording, start=truth)
-        same.append(alone.success and abs(alone.loss / reference.loss - 1) < 1e-6)
+        # From the data the fit may find a deeper minimum than from the truth; never a shallower one.
+        same.append(alone.success and alone.loss < reference.loss * (1 + 1e-6))
         if not same[-1]:
             print(point, i, alone.status, reference.status, alone.loss / reference.loss)
     print(f"noise {1e9 * noise:.0f} nm: {sum(same)} of {len(same)} reach the optimum found from the truth")
@@ -101,7 +102,7 @@ def test_starts_far_off_lead_to_the_same_optimum():
         for _ in range(2):
             start = {n: truth[n] * (1 + rng.uniform(-0.5, 0.5)) for n in KEY_PARAMETERS}
             result = fit(RotorBearing(), recording, start=start)
-            same.append(result.success and abs(result.loss / reference.loss - 1) < 1e-6)
+            same.append(result.success and result.loss < reference.loss * (1 + 1e-6))
             if not same[-1]:
                 print(point, i, result.status, result.options["window"], result.loss / reference.loss)
     print(f"starts within +-50 %: {sum(same)} of {len(same)} reach the same optimum")

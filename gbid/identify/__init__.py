@@ -4,8 +4,8 @@ from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.multistart import MultiStart, fit_multistart
 from gbid.identify.result import FitResult
-from gbid.identify.solver import Progress
 from gbid.identify.store import load_fit, save_fit
+from gbid.identify.watch import Progress
 from gbid.identify.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [

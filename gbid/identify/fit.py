@@ -19,8 +19,9 @@ from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.result import FitResult
 from gbid.identify.shooting import Criterion
-from gbid.identify.solver import UNSTABLE, Progress, Stop, solve
+from gbid.identify.solver import UNSTABLE, solve
 from gbid.identify.start import start_values
+from gbid.identify.watch import Progress, Stop
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
 

@@ -15,9 +15,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from gbid.identify.block_sums import Engine
 from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import Predictor, PredictorValues
-from gbid.identify.sweep import Engine, Sweep, residuals, sweep
+from gbid.identify.sweep import Sweep, residuals, sweep
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -124,7 +124,7 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     for row in rows:
         factor, unit = (1e6, "µm") if row["unit"] == "m" else (1.0, row["unit"])
         cells = [row[key] for key in ("model", "recording", "output")]
-        cells += [f"{row['fit_percent']:.2f}", f"{engineering(factor * row['infinity_norm'], 3)} {unit}"]
+        cells += [f"{row['fit_percent']:.2f}", f"{engineering(factor * row['infinity_norm'], 2)} {unit}"]
         cells += ["yes" if row["residuals_white"] else "no", ", ".join(row["residuals_follow"]) or "-"]
         cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
         table.add_row(*cells)

@@ -1,0 +1,125 @@
+"""What is looked at in each iteration of the solver: progress, when to stop, Ctrl-C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.shooting import Shooting
+
+FloatArray = npt.NDArray[np.float64]
+Stop = Literal["tolerance", "paper"]
+PAPER_TOLERANCE = 1e-4
+_GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
+_STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
+PATIENCE = 5  # iterations that a predictor may be unstable on the way
+_NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
+_NEAR_GAP = 1e-2
+_EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration of a solver, for a progress line.
+
+    Attributes
+    ----------
+    iteration : int
+        From zero, the start.
+    cost : float
+        Scaled cost.
+    gap : float
+        Largest gap between windows, in units of the states' size.
+    step : float
+        Relative change of the scaled parameters since the last iteration.
+    sigma : float
+        The last step of all unknowns in standard deviations of the estimate.
+    """
+
+    iteration: int
+    cost: float
+    gap: float
+    step: float
+    sigma: float
+
+
+class Watch(ca.Callback):
+    """Called at each iteration: reports, applies the paper's stopping rule, answers Ctrl-C."""
+
+    def __init__(
+        self, problem: Shooting, stop: Stop, progress: Callable[[Progress], None] | None, n: int, m: int
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._problem, self._stop, self._progress = problem, stop, progress
+        sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
+        self._shapes = [
+            ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
+            for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
+        ]
+        self.history: list[Progress] = []
+        self.interrupted = False
+        self.settled = False
+        self.exact = False
+        self.at_rest = False
+        self.near = False
+        self.unstable = 0
+        self._previous: FloatArray | None = None
+        self._sigma = np.inf
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return len(self._shapes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._shapes[i]
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
+        x = np.asarray(values["x"], float).ravel()
+        gaps = np.asarray(values["g"], float)
+        step = sigma = np.inf
+        if self._previous is not None:
+            moved, n_theta = x - self._previous, self._problem.n_theta
+            step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
+            sigma = self._in_standard_deviations(x, moved)
+        gap = float(np.abs(gaps).max(initial=0.0))
+        now = Progress(len(self.history), float(values["f"]), gap, step, sigma)
+        self.history.append(now)
+        if self._progress is not None:
+            self._progress(now)
+        self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
+        self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
+        # Twice running: a step may be small by chance, where the solver has just cut it.
+        small = self._stop == "tolerance" and max(sigma, self._sigma) < _STEP_TOLERANCE and now.gap < _GAP_TOLERANCE
+        self.at_rest = small
+        self.near = self.near or (sigma < _NEAR and now.gap < _NEAR_GAP)
+        self._previous, self._sigma = x, sigma
+        self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
+        ended = self.settled or self.exact or self.at_rest
+        return [int(self.interrupted or ended or self.unstable >= PATIENCE)]
+
+    def _radius(self, x: FloatArray) -> float:
+        """Spectral radius of the predictors."""
+        theta, _ = self._problem.unpack(x)
+        transitions = [v.F for v in self._problem.values(theta)]
+        if not all(np.isfinite(F).all() for F in transitions):
+            return np.inf
+        return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
+
+    def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
+        """Length of a step in the metric of the information at its end."""
+        pattern, entries = self._problem.hessian_pattern, self._problem.at(x).hessian
+        twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
+        square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
+        return float(np.sqrt(max(square, 0.0) * self._problem.likelihood_size)) if np.isfinite(square) else np.inf
