@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: run test lint types imports unit test-slow docs clean help
+.PHONY: run test lint types imports unit test-slow bench docs clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -47,6 +47,9 @@ unit: $(VENV)/.installed-test  ## the tests, warnings as errors
 
 test-slow: $(VENV)/.installed-test  ## the long studies
 	$(BIN)/pytest -m slow -s
+
+bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes the table that the docs show
+	$(BIN)/python -m benchmarks.fit_speed --output docs/benchmarks.json
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

@@ -18,6 +18,8 @@ class Answer:
         Processor time of the same stretch [s]: much less than the wall time tells that the core was shared.
     build_s : float
         Building the symbolic problem [s]; 0 where there is none.
+    build_cpu_s : float
+        Its processor time [s].
     iterations : int
     loss : float
         Mean squared error summed over outputs [m^2].
@@ -29,6 +31,7 @@ class Answer:
     time_s: float
     cpu_s: float
     build_s: float
+    build_cpu_s: float
     iterations: int
     loss: float
     success: bool

@@ -52,7 +52,7 @@ class Samples:
             return Samples(file["u"], file["p"])
 
 
-def make_samples(n_samples: int, seed: int = 10) -> Samples:
+def make_samples(n_samples: int, seed: int = 9) -> Samples:
     """Simulate a recording: binary references through the published actuators, the rotor, white sensor noise."""
     machine = load_model("theisen2016")
     random = np.random.default_rng(seed)

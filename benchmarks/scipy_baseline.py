@@ -61,6 +61,7 @@ def fit_with_scipy(samples: Samples, start: Mapping[str, float]) -> Answer:
         time_s=wall,
         cpu_s=cpu,
         build_s=0.0,
+        build_cpu_s=0.0,
         iterations=int(found.njev),
         loss=2 * float(found.cost) * float(size) ** 2 / len(samples.p),
         success=bool(found.success),

@@ -19,8 +19,8 @@ from threadpoolctl import threadpool_limits
 
 import gbid
 from benchmarks.answer import Answer
-from benchmarks.case import STRUCTURE, Samples
 from benchmarks.casadi_baseline import fit_with_casadi
+from benchmarks.case import STRUCTURE, Samples
 from benchmarks.floor import measure_floor
 from benchmarks.scipy_baseline import fit_with_scipy
 
@@ -63,7 +63,7 @@ def fit_with_gbid(recording: gbid.Recording, engine: str) -> Answer:
     began, spent = time.perf_counter(), time.process_time()
     result = gbid.fit(STRUCTURE, recording, engine=engine)
     wall, cpu = time.perf_counter() - began, time.process_time() - spent
-    return Answer(wall, cpu, 0.0, result.iterations, result.loss, result.success, dict(result.start))
+    return Answer(wall, cpu, 0.0, 0.0, result.iterations, result.loss, result.success, dict(result.start))
 
 
 def _peak_bytes() -> int:

@@ -202,8 +202,8 @@ def test_public_names_are_in_the_api_page(name: str) -> None:
 def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("myst_nb", reason="the docs extra is not installed: pip install .[docs]")
     docs = shutil.copytree(DOCS, tmp_path / "docs", ignore=shutil.ignore_patterns("_build", "jupyter_execute"))
-    for folder in ("models", "experiments"):
-        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results"))
+    for folder in ("models", "experiments", "benchmarks"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=shutil.ignore_patterns("results", "__pycache__"))
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", docs, tmp_path / "html"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.blocks import cut
+from gbid.identify.blocks import LONGEST_BLOCK, cut
 from gbid.identify.shooting import Part, Shooting
 from gbid.identify.sweep import block_sums, joined, link, powers_of, start_hessians
 from gbid.identify.whiteness import correlation_length
@@ -18,6 +18,7 @@ IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
 _BLOCKS = 64  # the least number of blocks, within which scores are summed before they are correlated
 _SHORTEST, _LONGEST = 8, 64  # samples in such a block
+_MOST_BLOCKS = 1000  # in long records the blocks grow instead
 
 
 class Covariance(NamedTuple):
@@ -88,6 +89,7 @@ def covariance(
     weight = problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
     block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
+    block = max(block, min(problem.n_samples // _MOST_BLOCKS, LONGEST_BLOCK))
     fine = _by_piece(problem, block)
     first = _information(problem, fine, theta, starts, record_window, weight, scores=True)
     shaped = weight @ (error_products / freedom) @ weight

@@ -22,6 +22,7 @@ from gbid.structure.rotor_bearing import AXES, PAIRS
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
+_ENOUGH = 50_000  # samples of a record that start values are taken from; the fit itself takes all
 
 
 @singledispatch
@@ -137,6 +138,7 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
 
 def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
     """Least squares for K, D, B given the delays; a grid and a simplex over the two delays."""
+    records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
     low, high = _resonance_band(records, sample_time)
     known, targets, drives, omegas = [], [], [], []
     n_records = len(records)

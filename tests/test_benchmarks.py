@@ -1,0 +1,62 @@
+"""The benchmarks run, their methods agree, and their table says what was measured. No time is judged here."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import fit_speed, table
+from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, sampled
+from benchmarks.floor import operations_per_sample
+from gbid.identify.kernel_source import KernelPattern
+
+STORED = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.json"
+
+
+@pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler to measure")
+def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert fit_speed.main(["--quick", "--output", str(tmp_path / "run.json")]) == 0
+    printed = capsys.readouterr().out
+    run = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
+    assert printed.strip() == table.whole(run)
+    assert [fit["method"] for fit in run["fits"]] == list(table.NAMES)
+    losses = [fit["loss"] for fit in run["fits"]]
+    np.testing.assert_allclose(losses, losses[0], rtol=1e-6)
+    assert all(fit["success"] and fit["time_s"] > 0 and fit["memory_bytes"] >= 0 for fit in run["fits"])
+    assert run["floor"]["kernel_s"] > run["floor"]["floor_s"]
+    assert run["n_unknowns"] == N_UNKNOWNS == 24
+
+
+def test_multiply_adds_of_a_full_pattern() -> None:
+    n, n_z, n_y, n_p = 3, 2, 2, 4
+
+    def full(*shape: int) -> np.ndarray:
+        return np.ones(shape, bool)
+
+    shapes = [(n, n), (n, n_z), (n_y, n), (n_y, n_z)]
+    pattern = KernelPattern(*(full(*s) for s in shapes), *(full(n_p, *s) for s in shapes))
+    state = (n + n_y) * (n + n_z)
+    sensitivities = n_p * ((n + n_y) * n + state)
+    weighting = (1 + n_p) * 3
+    sums = 3 + n_y * (10 + n_p + n_p * n + n)
+    assert operations_per_sample(pattern) == state + sensitivities + weighting + sums
+
+
+def test_sampling_of_an_integrator() -> None:
+    F, G = sampled(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)))
+    np.testing.assert_allclose(F, [[1.0]])
+    np.testing.assert_allclose(G, SAMPLE_TIME * np.array([[0.5, 0.5, 1.0]]))
+
+
+def test_stored_run_is_whole_and_names_no_machine() -> None:
+    text = STORED.read_text(encoding="utf-8")
+    run = json.loads(text)
+    assert set(table.figures(run)) == set(table.TARGETS)
+    assert not re.search(r"/(home|root|tmp|work|Users)\b|hostname", text)
+    gbid_loss = {fit["n_samples"]: fit["loss"] for fit in run["fits"] if fit["method"] == "compiled"}
+    assert all(abs(fit["loss"] / gbid_loss[fit["n_samples"]] - 1) < 1e-6 for fit in run["fits"])
