@@ -21,7 +21,7 @@ from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
-_COLOURED = 0.01  # probability below which residuals do not count as white
+_COLOURED = 0.01  # probability below which residuals do not count as white, shared by the outputs
 _MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
 _OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
 
@@ -73,7 +73,9 @@ def outcome(
     on_bound = _on_bound(free, theta, problem.theta_scale)
     found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
     white = whiteness_test(by_record)
-    trusted: Literal["white", "robust"] = "white" if (white.p_value >= _COLOURED).all() else "robust"
+    trusted: Literal["white", "robust"] = (
+        "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
+    )
     chosen = found.white if trusted == "white" else found.robust
 
     estimates = {**begin, **dict.fromkeys(assembly.unused, 0.0)}

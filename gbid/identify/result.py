@@ -40,7 +40,8 @@ class FitResult:
     trusted : {"white", "robust"}
         Which the test of the residuals speaks for.
     whiteness : (n_outputs,) array
-        Probability that white residuals would look less white (Ljung-Box); below 0.01 they count as coloured.
+        Probability that white residuals would look less white (Ljung-Box); below 0.01 over the number of outputs
+        they count as coloured.
     modes_std : (n_modes, 2) array
         Standard deviations of ``model.modes()``: natural frequency [Hz] and damping factor.
     static_gain_std : (n_outputs, n_inputs) array

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from gbid.identify.casadi_callback import Oracle
 from gbid.identify.shooting import Iterate, Pattern, Shooting
-from gbid.identify.watch import PAPER_TOLERANCE, PATIENCE, Progress, Stop, Watch
+from gbid.identify.watch import PAPER_TOLERANCE, PATIENCE, Interrupt, Progress, Stop, Watch
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -27,9 +27,10 @@ _WORDS = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
     "Feasible_Point_Found": "converged",
-    "Maximum_Iterations_Exceeded": "not converged: iteration limit reached",
+    "Maximum_Iterations_Exceeded": "not converged: iteration limit reached; start nearer, hold or bound a parameter, "
+    "or allow more iterations",
     "Restoration_Failed": "not converged: no step closes the gaps between windows; try other start values",
-    "Infeasible_Problem_Detected": "not converged: the gaps between windows cannot be closed; try other start values",
+    "Infeasible_Problem_Detected": "not converged: gaps between windows cannot be closed; try other start values",
     "Search_Direction_Becomes_Too_Small": "not converged: steps became too small; a parameter may not be determined",
     "Diverging_Iterates": "not converged: the iterates diverge; check bounds and start values",
     "Invalid_Number_Detected": "not converged: the predictor overflows; start from a stable model",
@@ -95,6 +96,28 @@ def solve(
     KeyboardInterrupt
         After Ctrl-C, once the iteration under way has ended.
     """
+    with _interruptible() as interrupt:
+        solver, watch, _alive = _ipopt(problem, stop, tolerance, max_iterations, progress, interrupt)
+        if not interrupt.pressed:
+            result = solver(x0=start, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+    if interrupt.pressed:
+        raise KeyboardInterrupt
+    unknowns = np.asarray(result["x"], float).ravel()
+    words, success = _in_words(str(solver.stats()["return_status"]), watch)
+    if not np.isfinite(unknowns).all():
+        unknowns, success = np.asarray(start, float), False
+    return Solution(unknowns, words, success, int(solver.stats()["iter_count"]), tuple(watch.history))
+
+
+def _ipopt(
+    problem: Shooting,
+    stop: Stop,
+    tolerance: float,
+    max_iterations: int,
+    progress: Callable[[Progress], None] | None,
+    interrupt: Interrupt,
+) -> tuple[ca.Function, Watch, list[Oracle]]:
+    """Build the solver; also return what watches it, and the callbacks, which must outlive it."""
     n, m = problem.n_unknowns, problem.n_gaps
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
     gaps = ca.Sparsity.dense(m, 1)
@@ -133,7 +156,7 @@ def solve(
         [("triu_hess_gamma_x_x", hessian)],
         lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)))],
     )
-    watch = Watch(problem, stop, progress, n, m)
+    watch = Watch(problem, stop, progress, n, m, interrupt)
     x = ca.MX.sym("x", n)
     f, g = value(x)
     options: dict[str, Any] = {
@@ -162,27 +185,22 @@ def solve(
         },
     }
     solver = ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options)
-    with _interruptible(watch):
-        result = solver(x0=start, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
-    if watch.interrupted:
-        raise KeyboardInterrupt
-    stats = solver.stats()
-    status = str(stats["return_status"])
-    if watch.settled and status == "User_Requested_Stop":
-        words, success = f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
-    elif watch.unstable >= PATIENCE and status == "User_Requested_Stop":
-        words, success = UNSTABLE, False
-    elif watch.at_rest and status == "User_Requested_Stop":
-        words, success = "converged", True
-    elif watch.exact and status == "User_Requested_Stop":
-        words, success = "converged: the errors are at rounding", True
-    else:
-        words = _WORDS.get(status, f"not converged: IPOPT says {status}")
-        success = words.startswith("converged")
-    unknowns = np.asarray(result["x"], float).ravel()
-    if not np.isfinite(unknowns).all():
-        unknowns, success = np.asarray(start, float), False
-    return Solution(unknowns, words, success, int(stats["iter_count"]), tuple(watch.history))
+    return solver, watch, [value, gradient, jac, hess]
+
+
+def _in_words(status: str, watch: Watch) -> tuple[str, bool]:
+    """Say why the solver stopped, and whether that is a success."""
+    if status == "User_Requested_Stop":
+        if watch.settled:
+            return f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+        if watch.unstable >= PATIENCE:
+            return UNSTABLE, False
+        if watch.at_rest:
+            return "converged", True
+        if watch.exact:
+            return "converged: the errors are at rounding", True
+    words = _WORDS.get(status, f"not converged: IPOPT says {status}")
+    return words, words.startswith("converged")
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:
@@ -192,17 +210,18 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 
 
 @contextmanager
-def _interruptible(watch: Watch) -> Iterator[None]:
+def _interruptible() -> Iterator[Interrupt]:
     """Let Ctrl-C end the solver at its next iteration, where all is in order, instead of within a callback."""
+    interrupt = Interrupt()
     if threading.current_thread() is not threading.main_thread():
-        yield
+        yield interrupt
         return
 
     def note(_signal: int, _frame: Any) -> None:
-        watch.interrupted = True
+        interrupt.pressed = True
 
     previous = signal.signal(signal.SIGINT, note)
     try:
-        yield
+        yield interrupt
     finally:
         signal.signal(signal.SIGINT, previous)

@@ -48,21 +48,33 @@ class Progress:
     sigma: float
 
 
+@dataclass
+class Interrupt:
+    """Whether Ctrl-C has been pressed."""
+
+    pressed: bool = False
+
+
 class Watch(ca.Callback):
     """Called at each iteration: reports, applies the paper's stopping rule, answers Ctrl-C."""
 
     def __init__(
-        self, problem: Shooting, stop: Stop, progress: Callable[[Progress], None] | None, n: int, m: int
+        self,
+        problem: Shooting,
+        stop: Stop,
+        progress: Callable[[Progress], None] | None,
+        n: int,
+        m: int,
+        interrupt: Interrupt,
     ) -> None:
         ca.Callback.__init__(self)
-        self._problem, self._stop, self._progress = problem, stop, progress
+        self._problem, self._stop, self._progress, self._interrupt = problem, stop, progress, interrupt
         sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
         self._shapes = [
             ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
             for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
         ]
         self.history: list[Progress] = []
-        self.interrupted = False
         self.settled = False
         self.exact = False
         self.at_rest = False
@@ -107,7 +119,7 @@ class Watch(ca.Callback):
         self._previous, self._sigma = x, sigma
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
         ended = self.settled or self.exact or self.at_rest
-        return [int(self.interrupted or ended or self.unstable >= PATIENCE)]
+        return [int(self._interrupt.pressed or ended or self.unstable >= PATIENCE)]
 
     def _radius(self, x: FloatArray) -> float:
         """Spectral radius of the predictors."""
