@@ -64,7 +64,8 @@ def fit_with_gbid(recording: gbid.Recording, engine: str) -> Answer:
     began, spent = time.perf_counter(), time.process_time()
     result = gbid.fit(STRUCTURE, recording, engine=engine)
     wall, cpu = time.perf_counter() - began, time.process_time() - spent
-    return Answer(wall, cpu, 0.0, 0.0, result.iterations, result.loss, result.success, dict(result.start))
+    whole = all(result.std[q.name] > 0 for q in STRUCTURE.parameters)  # none of the unknowns was held
+    return Answer(wall, cpu, 0.0, 0.0, result.iterations, result.loss, result.success and whole, dict(result.start))
 
 
 def _start_of_peak() -> int:

@@ -169,8 +169,9 @@ def _information(
     for v, (part, windows) in zip(problem.values(theta), fine, strict=True):
         powers = powers_of(v.F, part.blocks.length)
         sums, free = block_sums(v, part.blocks, starts[windows], weight, powers, part.engine)
-        whole = joined(part.blocks, sums, start_hessians(part.blocks, free), powers)
-        passes.append((part, windows, sums, whole, link(part.blocks, sums.end_theta, powers)))
+        linked = link(part.blocks, sums.end_theta, powers)
+        whole = joined(part.blocks, sums, start_hessians(part.blocks, free), linked)
+        passes.append((part, windows, sums, whole, linked))
     _follow_pieces(problem, passes, chains)
     for part, windows, sums, whole, linked in passes:
         hessian[np.ix_(part.index, part.index)] += whole.hessian

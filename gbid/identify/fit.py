@@ -24,6 +24,7 @@ from gbid.identify.start import start_values
 from gbid.identify.watch import Progress, Stop
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
+from gbid.threads import one_blas_thread
 
 
 def fit(
@@ -126,7 +127,8 @@ def fit(
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
 
     stated = {q.name: q.start for q in parameters if q.start is not None}
-    begin = _within(parameters, start_values(structure, data, stated), set(stated))
+    with one_blas_thread():
+        begin = _within(parameters, start_values(structure, data, stated), set(stated))
     asked = {**(start or {}), **(fixed or {})}
     origin = {q.name: "user" if q.name in asked else "structure" if q.name in stated else "data" for q in parameters}
     options = {
@@ -166,7 +168,8 @@ def fit(
         known = initial_state != "estimated"
         return outcome(structure, used, data, assembly, problem, solution, full, origin, said, known)
 
-    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # an unstable start: the status says so
+    # Small matrices: several BLAS threads only wait for one another. An unstable start overflows: the status says so.
+    with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         result = _best_of(attempt, window if window != "auto" else _ladder(data, focus))
     return replace(result, wall_time_s=time.perf_counter() - began)
 

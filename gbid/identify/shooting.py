@@ -223,16 +223,22 @@ class Shooting:
             self._last[key] = iterate
         return self._last[key]
 
-    def hessian(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Hessian of the Lagrangian, entries where `hessian_pattern` has them.
+    def correction(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Add this to ``lam_f`` times the Gauss-Newton Hessian to have exact columns for the disturbance gain.
 
-        Gauss-Newton, but for the parameters of the disturbance gain: what these do to the predictions is made of
-        the errors themselves, so the second derivatives that Gauss-Newton leaves out are as large as what it
-        keeps. Their columns come from differences of the gradient, one pass each.
+        What the disturbance gain does to the predictions is made of the errors themselves, so the second
+        derivatives that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences
+        of the Lagrangian's gradient, one pass each.
+
+        Returns
+        -------
+        (n_nonzeros,) array
+            Entries where `hessian_pattern` has them.
         """
         entries = lam_f * self.at(unknowns).hessian
+        gauss_newton = entries.copy()
         if not self.noise or len(self.noise) > _MOST_DIFFERENCES:
-            return entries
+            return np.zeros_like(entries)
         here = self._lagrangian_gradient(self.at(unknowns), lam_f, lam_gaps)
         rows, columns = self.hessian_pattern.rows, self.hessian_pattern.columns
         for j in self.noise:
@@ -244,7 +250,7 @@ class Shooting:
             in_column, in_row = columns == j, rows == j
             entries[in_column] = slope[rows[in_column]]
             entries[in_row] = slope[columns[in_row]]
-        return entries
+        return entries - gauss_newton
 
     @cached_property
     def noise(self) -> tuple[int, ...]:

@@ -23,6 +23,7 @@ UNSTABLE = (
     "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
 )
 
+_REFRESH = 4
 _WORDS = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
@@ -128,8 +129,14 @@ def _ipopt(
     def flat(values: ca.DM) -> FloatArray:
         return np.asarray(values, float).ravel()
 
+    corrections: list[FloatArray] = []
+
     def curvature(x: FloatArray, lam_f: float, lam_g: FloatArray) -> FloatArray:
-        return problem.hessian(x, lam_f, lam_g) if watch.near else lam_f * problem.at(x).hessian
+        if not watch.near:
+            return lam_f * problem.at(x).hessian
+        if watch.near % _REFRESH == 1:  # near the optimum it hardly changes: made anew every few iterations
+            corrections[:] = [problem.correction(x, lam_f, lam_g)]
+        return lam_f * problem.at(x).hessian + corrections[0]
 
     def at(x: ca.DM) -> Iterate:
         return problem.at(flat(x))

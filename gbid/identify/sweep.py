@@ -133,7 +133,7 @@ def sweep(
     """
     powers = powers_of(v.F, blocks.length)
     sums, free = block_sums(v, blocks, starts, weight, powers, engine)
-    return joined(blocks, sums, start_hessians(blocks, free), powers)
+    return joined(blocks, sums, start_hessians(blocks, free), link(blocks, sums.end_theta, powers))
 
 
 def block_sums(
@@ -202,9 +202,8 @@ def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
     return Linked(by_theta, by_start, transition @ by_theta[last] + end_theta[last], transition @ by_start[last])
 
 
-def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, powers: FloatArray) -> Sweep:
+def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: Linked) -> Sweep:
     """Sum the blocks of each window up."""
-    linked = link(blocks, sums.end_theta, powers)
     first, live = blocks.window_first, slice(0, blocks.n_blocks)
     S, P = linked.by_theta[live], linked.by_start[live]
     mixed, start, gradient_start = sums.mixed[live], start_hessian[live], sums.gradient_start[live]

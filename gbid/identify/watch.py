@@ -78,7 +78,7 @@ class Watch(ca.Callback):
         self.settled = False
         self.exact = False
         self.at_rest = False
-        self.near = False
+        self.near = 0
         self.unstable = 0
         self._previous: FloatArray | None = None
         self._sigma = np.inf
@@ -115,7 +115,7 @@ class Watch(ca.Callback):
         # Twice running: a step may be small by chance, where the solver has just cut it.
         small = self._stop == "tolerance" and max(sigma, self._sigma) < _STEP_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.at_rest = small
-        self.near = self.near or (sigma < _NEAR and now.gap < _NEAR_GAP)
+        self.near += int(self.near > 0 or (sigma < _NEAR and now.gap < _NEAR_GAP))
         self._previous, self._sigma = x, sigma
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
         ended = self.settled or self.exact or self.at_rest

@@ -12,6 +12,9 @@ from scipy.stats import chi2
 FloatArray = npt.NDArray[np.float64]
 
 
+_FEW = 64  # lags up to which plain products are quicker than transforms
+
+
 class Whiteness(NamedTuple):
     """Portmanteau test of residuals (Ljung and Box, 1978).
 
@@ -41,8 +44,17 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
     -------
     (lags + 1,) array
     """
-    n = next_fast_len(len(first) + lags + 1, real=True)
-    product = irfft(np.conj(rfft(first, n)) * rfft(second, n), n)[: lags + 1]
+    own = first is second
+    first = np.ascontiguousarray(first)
+    second = first if own else np.ascontiguousarray(second)
+    if lags <= _FEW:
+        size = len(first)
+        product = np.array([first[: size - lag] @ second[lag:] if lag < size else 0.0 for lag in range(lags + 1)])
+    else:
+        n = next_fast_len(len(first) + lags + 1, real=True)
+        ahead = rfft(first, n)
+        behind = ahead if own else rfft(second, n)
+        product = irfft(np.conj(ahead) * behind, n)[: lags + 1]
     scale = np.sqrt(float(first @ first) * float(second @ second))
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
 
@@ -66,7 +78,8 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
     for e in records:
         n = len(e)
         for j in range(n_y):
-            rho = correlation(e[:, j], e[:, j], lags)[1:]
+            channel = e[:, j]
+            rho = correlation(channel, channel, lags)[1:]
             statistic[j] += n * (n + 2) * float((rho**2 / (n - np.arange(1, lags + 1))).sum())
     freedom = lags * max(1, len(records))
     return Whiteness(statistic, np.asarray(chi2.sf(statistic, freedom)), lags)
@@ -85,7 +98,8 @@ def correlation_length(errors: list[FloatArray]) -> int:
         if most < 2:
             continue
         for j in range(e.shape[1]):
-            rho = correlation(e[:, j], e[:, j], most)[1:]
+            channel = e[:, j]
+            rho = correlation(channel, channel, most)[1:]
             variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
             # Smoothed over a few lags: one of thousands leaves its band by chance.
             outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1

@@ -18,11 +18,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import expm
-from threadpoolctl import threadpool_limits  # type: ignore[import-untyped]
 
 from gbid.errors import UsageError
 from gbid.recording import FloatArray
 from gbid.rig.machine import ActuatorTruth, RotorBearingTruth, Unbalance
+from gbid.threads import one_blas_thread
 
 MIN_OVERSAMPLING = 20
 _U, _P = 1, slice(2, 4)  # states of one chain: a, u, q_x, q_y, their velocities; the held input last
@@ -83,7 +83,7 @@ def driven_motion(
     if oversampling < MIN_OVERSAMPLING:
         raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
     # Matrices of this size gain nothing from BLAS threads, which on a busy machine made it ten times slower.
-    with threadpool_limits(1, user_api="blas"):
+    with one_blas_thread():
         u, p = _positions(rotor_bearing, actuator, reference, sample_time, oversampling)
     time = np.arange(len(u), dtype=float) * (sample_time / oversampling)
     return Motion(time, u, p)
