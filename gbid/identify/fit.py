@@ -192,8 +192,9 @@ def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] 
             break
         if result.status == UNSTABLE:
             result = attempt(samples, gain_held=True)
-            note = "with a free disturbance gain the predictor became unstable: the gain was held at its start"
-            return replace(result, notes=(*result.notes, note))
+            note = "a free disturbance gain led to the edge of an unstable predictor: it was held at its start"
+            status = f"{result.status}, with the disturbance gain held"
+            return replace(result, status=status, notes=(*result.notes, note))
     else:
         finite = [r for r in tried if np.isfinite(r.loss)]
         result = min(finite, key=lambda r: r.loss) if finite else tried[0]

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from gbid.errors import UsageError
 from gbid.identify.assembly import Assembly
 from gbid.identify.data import FitData
-from gbid.identify.shooting import Criterion, Prior, Shooting
+from gbid.identify.shooting import Criterion, Prior, Shooting, spectral_radius
 from gbid.identify.sweep import forced_states
 
 FloatArray = npt.NDArray[np.float64]
@@ -72,7 +72,8 @@ def build_problem(
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
     if not scaling:
         theta_scale, state_scale = ones, np.ones(n)
-    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, _last={})
+    stable = spectral_radius(values) <= 1
+    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={})
     return problem, problem.pack(theta, starts)
 
 

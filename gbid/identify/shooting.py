@@ -109,6 +109,9 @@ class Shooting:
     theta_scale : (n_p,) array
     state_scale : (n,) array
     prior : Prior
+    stable_only : bool
+        Whether points with an unstable predictor count as none: over a finite record one can have smaller errors
+        than the stable predictor that the estimate is about.
     """
 
     parts: tuple[Part, ...]
@@ -119,6 +122,7 @@ class Shooting:
     theta_scale: FloatArray
     state_scale: FloatArray
     prior: Prior
+    stable_only: bool = False
     _last: dict[bytes, Iterate] = field(default_factory=dict)
 
     @property
@@ -337,6 +341,8 @@ class Shooting:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
             theta, starts = self.unpack(unknowns)
             values = self.values(theta)
+            if self.stable_only and self.noise and spectral_radius(values) > 1:
+                return self._invalid()
             if self.criterion == "trace":  # the weight is a number: it can follow the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
@@ -390,6 +396,14 @@ class Shooting:
     def _invalid(self) -> Iterate:
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
         return Iterate(np.nan, *(np.full(size, np.nan) for size in sizes))
+
+
+def spectral_radius(values: list[PredictorValues]) -> float:
+    """Largest magnitude of the predictors' eigenvalues; infinite where they overflow."""
+    transitions = [v.F for v in values]
+    if not all(np.isfinite(F).all() for F in transitions):
+        return np.inf
+    return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
 
 
 def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:

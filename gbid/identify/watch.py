@@ -10,14 +10,14 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.shooting import Shooting
+from gbid.identify.shooting import Shooting, spectral_radius
 
 FloatArray = npt.NDArray[np.float64]
 Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
-PATIENCE = 5  # iterations that a predictor may be unstable on the way
+PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too
 _NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
 _NEAR_GAP = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
@@ -122,12 +122,8 @@ class Watch(ca.Callback):
         return [int(self._interrupt.pressed or ended or self.unstable >= PATIENCE)]
 
     def _radius(self, x: FloatArray) -> float:
-        """Spectral radius of the predictors."""
         theta, _ = self._problem.unpack(x)
-        transitions = [v.F for v in self._problem.values(theta)]
-        if not all(np.isfinite(F).all() for F in transitions):
-            return np.inf
-        return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
+        return spectral_radius(self._problem.values(theta))
 
     def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
         """Length of a step in the metric of the information at its end."""
