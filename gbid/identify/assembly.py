@@ -23,7 +23,10 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; fed back outputs steady a prediction: it may be longer
-_MOST_WINDOWS = 192  # beyond, longer windows; the solver's own work grows with their number
+_MOST_WINDOWS = {
+    "prediction": 64,
+    "simulation": 192,
+}  # beyond, longer windows; the solver's own work grows with their number
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +242,7 @@ def automatic_window(data: FitData, focus: Focus) -> int:
         Samples.
     """
     n = data.n_samples
-    count = min(max(LANES, LANES * round(n / (_WINDOW[focus] * LANES))), _MOST_WINDOWS)
+    count = min(LANES * -(-n // (_WINDOW[focus] * LANES)), _MOST_WINDOWS[focus])
     return -(-n // count)
 
 

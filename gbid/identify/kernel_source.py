@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 BoolArray = npt.NDArray[np.bool_]
-_BUFFER_BYTES = 24 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+_BUFFER_BYTES = 96 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 _TILE = 4
 
 

@@ -65,9 +65,10 @@ def build_problem(
     starts = -_ridge_solve(hessian, np.concatenate([s.gradient_start for s in sweeps]), state_scale)
     products = problem.error_products(values, starts)
     curvature = known.information / problem.likelihood_size
-    if np.isfinite(products).all():
-        for s, part in zip(problem.sweeps(values, starts, problem.weight(products)), problem.parts, strict=True):
-            curvature[part.index] += np.diag(s.hessian)
+    if np.isfinite(products).all():  # the pass above, in units of the errors at these starts
+        unit = power / (float(weights @ np.diag(products)) + 1e-13 * power)
+        for s, part in zip(sweeps, problem.parts, strict=True):
+            curvature[part.index] += unit * np.diag(s.hessian)
     magnitude = np.where(theta != 0, np.abs(theta), 1.0)
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
     if not scaling:

@@ -23,7 +23,8 @@ UNSTABLE = (
     "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
 )
 
-_REFRESH = 4
+_LONG = 20_000  # samples
+_SLOW, _REFRESH = 5, 3  # iterations
 _WORDS = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
@@ -132,11 +133,13 @@ def _ipopt(
     corrections: list[FloatArray] = []
 
     def curvature(x: FloatArray, lam_f: float, lam_g: FloatArray) -> FloatArray:
-        if not watch.near:
-            return lam_f * problem.at(x).hessian
-        if watch.near % _REFRESH == 1:  # near the optimum it hardly changes: made anew every few iterations
+        # In long records Gauss-Newton has often arrived before the correction would have paid for its passes. Near
+        # the optimum the correction hardly changes: made anew every few iterations.
+        patience = _SLOW if problem.n_samples > _LONG else 1
+        if watch.near >= patience and (watch.near - patience) % _REFRESH == 0:
             corrections[:] = [problem.correction(x, lam_f, lam_g)]
-        return lam_f * problem.at(x).hessian + corrections[0]
+        entries = lam_f * problem.at(x).hessian
+        return entries + corrections[0] if corrections else entries
 
     def at(x: ca.DM) -> Iterate:
         return problem.at(flat(x))

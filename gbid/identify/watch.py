@@ -20,6 +20,7 @@ _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing th
 PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too
 _NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
 _NEAR_GAP = 1e-2
+_STEP_BEFORE = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
 
@@ -112,9 +113,9 @@ class Watch(ca.Callback):
             self._progress(now)
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
-        # Twice running: a step may be small by chance, where the solver has just cut it.
-        small = self._stop == "tolerance" and max(sigma, self._sigma) < _STEP_TOLERANCE and now.gap < _GAP_TOLERANCE
-        self.at_rest = small
+        # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
+        small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
+        self.at_rest = small and self._stop == "tolerance"
         self.near += int(self.near > 0 or (sigma < _NEAR and now.gap < _NEAR_GAP))
         self._previous, self._sigma = x, sigma
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0

@@ -50,12 +50,13 @@ def summary_lines(document: Row) -> Iterator[Line]:
 def residuals_line(document: Row) -> str:
     """Whiteness of each output, with the probability."""
     words = []
+    level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
     for row in document["whiteness"]:
         p = row["p_value"]
         if p is None:
             words.append(f"{row['output']} unknown")
         else:
-            words.append(f"{row['output']} {'white' if p >= 0.01 else 'not white'} ({probability(p)})")
+            words.append(f"{row['output']} {'white' if p >= level else 'not white'} ({probability(p)})")
     return ", ".join(words)
 
 

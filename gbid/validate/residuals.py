@@ -77,7 +77,7 @@ class ResidualTest:
     @property
     def white(self) -> npt.NDArray[np.bool_]:
         """Whether the residuals of each output count as white, (n_outputs,)."""
-        return np.asarray(self.p_white >= 1 - _LEVEL)
+        return np.asarray(self.p_white >= (1 - _LEVEL) / len(self.p_white))
 
     @property
     def follows(self) -> tuple[tuple[str, ...], ...]:
@@ -197,7 +197,7 @@ def _verdict(
 ) -> tuple[str, ...]:
     words = []
     for j, output in enumerate(output_names):
-        white = p_white[j] >= 1 - _LEVEL
+        white = p_white[j] >= (1 - _LEVEL) / len(p_white)
         words.append(f"{output}: residuals {'white' if white else 'not white'} (p = {p_white[j]:.2g})")
         left = _following(p_independent[j], input_names)
         if left:
