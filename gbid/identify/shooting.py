@@ -24,6 +24,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
+_WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
 _DIFFERENCE = 1e-4  # step of a difference, in units in which the cost has curvature one
 _MOST_DIFFERENCES = 8  # columns; with more, as for gains local to many recordings, they cost more than they save
 
@@ -301,8 +302,8 @@ class Shooting:
         """Cost at or below which all errors are rounding, as for data that a model made without noise."""
         n_y = len(self.output_weights)
         if self.criterion == "det":
-            return self.cost(np.eye(n_y) * self._floor)
-        return self.cost(np.eye(n_y) * self._floor / float(self.output_weights.sum()))
+            return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW)
+        return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW / float(self.output_weights.sum()))
 
     @property
     def _power(self) -> float:
