@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from functools import lru_cache
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -84,7 +85,8 @@ class CompiledEngine:
 
     def _build(self, pattern: KernelPattern) -> None:
         self._pattern = pattern
-        self._pass = load_library(kernel_source(pattern)).gbid_pass
+        arrays = tuple((array.shape, array.tobytes()) for array in pattern.arrays())
+        self._pass = load_library(_source(arrays)).gbid_pass
         self._pass.restype = None
 
     def __call__(
@@ -117,6 +119,12 @@ class CompiledEngine:
             _per_block(end),
             _per_block(end_theta).transpose(0, 2, 1),
         )
+
+
+@lru_cache(maxsize=32)
+def _source(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> str:
+    """Source for a pattern given as shapes and bytes: written once in a process."""
+    return kernel_source(KernelPattern(*(np.frombuffer(data, np.bool_).reshape(shape) for shape, data in arrays)))
 
 
 def pattern_of(v: PredictorValues) -> KernelPattern:

@@ -20,7 +20,7 @@ from gbid.discretise import (
     side_by_side,
 )
 from gbid.errors import UsageError
-from gbid.structure import Parameter, Structure, symbolic_matrices
+from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
 
 FloatArray = npt.NDArray[np.float64]
 Focus = Literal["prediction", "simulation"]
@@ -261,7 +261,7 @@ def build_predictor(
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = sorted({*_driven(m.B), *_driven(m.D)})
-    noise = noise_names(structure)
+    noise = _only_in_gain(m)
     return Predictor(
         free=(*free, *(Parameter(name, 0.0) for name in offset_names)),
         noise=tuple(i for i, q in enumerate(free) if q.name in noise),
@@ -283,7 +283,10 @@ def build_predictor(
 
 def noise_names(structure: Structure) -> frozenset[str]:
     """Parameters of a structure that only its disturbance gain depends on."""
-    _, m = symbolic_matrices(structure)
+    return _only_in_gain(symbolic_matrices(structure)[1])
+
+
+def _only_in_gain(m: Matrices) -> frozenset[str]:
     moves = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, m.B_delayed, m.delay))}
     return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
 

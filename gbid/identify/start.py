@@ -170,20 +170,28 @@ def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_
     def delayed(tau: FloatArray) -> FloatArray:
         return _real(complex_drive * np.exp(-1j * omega[:, None] * tau))
 
+    def unexplained(columns: FloatArray) -> float:
+        """Return what two projected columns leave of the rest, up to a constant."""
+        share = columns.T @ rest
+        return -float((share * np.linalg.lstsq(columns.T @ columns, share, rcond=None)[0]).sum())
+
     def misfit(tau: FloatArray) -> float:
         columns = delayed(tau)
-        columns = columns - basis @ (basis.T @ columns)
-        gain = np.linalg.lstsq(columns, rest, rcond=None)[0]
-        return float(((rest - columns @ gain) ** 2).sum())
+        return unexplained(columns - basis @ (basis.T @ columns))
 
     bounds = {q.name: (q.lower, q.upper) for q in structure.parameters}
     longest = min(0.5 * np.pi / high * 2, bounds["tau_x"][1])
     grid = np.linspace(0.0, longest, 7)
-    best = min(((misfit(np.array([a, b])), a, b) for a in grid for b in grid), key=lambda item: item[0])
+    sampled = [delayed(np.array([a, a])) for a in grid]  # both axes at once: pairs of delays share their columns
+    sampled = [columns - basis @ (basis.T @ columns) for columns in sampled]
+    pairs = [(i, j) for i in range(len(grid)) for j in range(len(grid))]
+    scores = [unexplained(np.column_stack([sampled[i][:, 0], sampled[j][:, 1]])) for i, j in pairs]
+    at = pairs[int(np.argmin(scores))]
+    first = grid[at[0]], grid[at[1]]
     step = grid[1] / 2
-    simplex = np.array([best[1:], (best[1] + step, best[2]), (best[1], best[2] + step)])
+    simplex = np.array([first, (first[0] + step, first[1]), (first[0], first[1] + step)])
     options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
-    tau = minimize(misfit, best[1:], method="Nelder-Mead", options=options).x
+    tau = minimize(misfit, first, method="Nelder-Mead", options=options).x
     tau = np.array(
         [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]
     )
