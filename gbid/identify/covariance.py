@@ -18,7 +18,7 @@ IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
 _BLOCKS = 64  # the least number of blocks, within which scores are summed before they are correlated
 _SHORTEST, _LONGEST = 8, 64  # samples in such a block
-_MOST_BLOCKS = 1000  # in long records the blocks grow instead
+_MOST_BLOCKS = 200  # in long records the blocks grow instead
 
 
 class Covariance(NamedTuple):

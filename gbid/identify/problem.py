@@ -74,7 +74,7 @@ def build_problem(
     if not scaling:
         theta_scale, state_scale = ones, np.ones(n)
     stable = spectral_radius(values) <= 1
-    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={})
+    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={}, _met={})
     return problem, problem.pack(theta, starts)
 
 

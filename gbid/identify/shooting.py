@@ -125,6 +125,7 @@ class Shooting:
     prior: Prior
     stable_only: bool = False
     _last: dict[bytes, Iterate] = field(default_factory=dict)
+    _met: dict[bytes, list[PredictorValues]] = field(default_factory=dict)
 
     @property
     def n_theta(self) -> int:
@@ -172,7 +173,10 @@ class Shooting:
         return theta, starts
 
     def values(self, theta: FloatArray) -> list[PredictorValues]:
-        """Predictors of all parts, shared where parts share them."""
+        """Predictors of all parts, shared where parts share them; those of the last parameters are kept."""
+        point = theta.tobytes()
+        if point in self._met:
+            return self._met[point]
         met: dict[tuple[int, bytes], PredictorValues] = {}
         result = []
         for part in self.parts:
@@ -181,6 +185,8 @@ class Shooting:
             if key not in met:
                 met[key] = part.predictor.at(own)
             result.append(met[key])
+        self._met.clear()
+        self._met[point] = result
         return result
 
     def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
