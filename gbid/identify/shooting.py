@@ -371,7 +371,7 @@ class Shooting:
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
         starts_gradient, arrow, jacobian = [], [], []
         ends = np.concatenate([s.end for s in sweeps])
-        for s, part, (own, windows, _), first in zip(
+        for s, part, (_, windows, _), first in zip(
             sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
         ):
             gradient[part.index] += s.gradient
@@ -385,7 +385,6 @@ class Shooting:
                 (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
                 (s.end_start[local] / x[:, None] * x).ravel(),
             ]
-            assert len(own) == len(local)
         away = theta - self.prior.mean
         known = self.prior.information / self.likelihood_size
         gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
