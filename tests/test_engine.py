@@ -27,7 +27,8 @@ from fit_cases import (
 )
 
 from gbid.errors import UsageError
-from gbid.identify import compiling, fit
+from gbid import compiling
+from gbid.identify import fit
 from gbid.identify.blocks import Piece, cut
 from gbid.identify.engine import CompiledEngine, choose_engine, pattern_of
 from gbid.identify.kernel_source import kernel_source

@@ -1,0 +1,1 @@
+"""Many fits: plan, engines, resume, collect."""

@@ -1,0 +1,1 @@
+"""What recordings say without a dynamic model: static gains, linearity, hysteresis."""
