@@ -26,8 +26,8 @@ from fit_cases import (
     smooth,
 )
 
-from gbid.errors import UsageError
 from gbid import compiling
+from gbid.errors import UsageError
 from gbid.identify import fit
 from gbid.identify.blocks import Piece, cut
 from gbid.identify.engine import CompiledEngine, choose_engine, pattern_of

@@ -9,10 +9,10 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
 from gbid.identify.block_sums import BlockSums, Engine
 from gbid.identify.blocks import LANES, Blocks
-from gbid.compiling import CompilerMissingError, load_library
 from gbid.identify.kernel_source import KernelPattern, kernel_source
 from gbid.identify.numpy_pass import run_with_numpy
 from gbid.identify.predictor import PredictorValues
