@@ -1,0 +1,70 @@
+"""Where a force on the rotor enters a model: without delay and actuators (paper, Sec. 5.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import UsageError
+from gbid.structure import LinearModel
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def force_entry(plant: LinearModel) -> FloatArray:
+    r"""Find the states that a force per mass on the rotor drives.
+
+    Parameters
+    ----------
+    plant : LinearModel
+        Continuous, its outputs positions that are states themselves, their derivatives states as well: any model
+        of `gbid.RotorBearing` or `gbid.Plant` with the output p.
+
+    Returns
+    -------
+    (n, n_outputs) array
+        E of :math:`\dot x = A x + B r + E f / m`: one in the row of each velocity.
+
+    Raises
+    ------
+    UsageError
+        When positions and velocities cannot be told from the matrices, or the model is sampled.
+    """
+    where = f"force on model {plant.name!r}"
+    if plant.dt is not None:
+        raise UsageError(f"{where}: it is sampled; give the continuous model")
+    entry = np.zeros((plant.n_states, plant.C.shape[0]))
+    for i, row in enumerate(plant.C):
+        position = _only_one(row)
+        velocity = None if position is None else _only_one(plant.A[position])
+        if velocity is None or plant.D[i].any():
+            raise UsageError(
+                f"{where}: output {plant.output_names[i]!r} is no position whose velocity is a state; "
+                "give the entry of the force yourself"
+            )
+        entry[velocity, i] = 1.0
+    return entry
+
+
+def static_force_gain(plant: LinearModel, entry: FloatArray | None = None) -> FloatArray:
+    """Steady motion per force and mass, references held: the compliance of the open loop times the mass.
+
+    Parameters
+    ----------
+    plant : LinearModel
+    entry : (n, n_outputs) array, optional
+        See `force_entry`.
+
+    Returns
+    -------
+    (n_outputs, n_outputs) array
+        [m kg/N].
+    """
+    E = force_entry(plant) if entry is None else entry
+    return np.asarray(-plant.C @ np.linalg.solve(plant.A, E))
+
+
+def _only_one(row: FloatArray) -> int | None:
+    """Return the place of a row's only entry if that is one."""
+    places = np.flatnonzero(row)
+    return int(places[0]) if len(places) == 1 and row[places[0]] == 1.0 else None

@@ -1,0 +1,38 @@
+"""Frequencies that follow a model's poles."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.structure import LinearModel
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
+    """Frequencies that follow a model's poles: even in the logarithm, and dense around each oscillatory pole.
+
+    Parameters
+    ----------
+    model : LinearModel
+    n : int
+        Number of those even in the logarithm.
+
+    Returns
+    -------
+    (n_frequencies,) array
+        Rising, from 0 [Hz]; up to ten times the fastest pole, or half the sampling frequency.
+    """
+    poles = model.poles()
+    rates = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)] / (2 * np.pi)
+    slowest, fastest = (rates.min(), rates.max()) if len(rates) else (0.1, 10.0)
+    nyquist = inf if model.dt is None else 0.5 / model.dt
+    even = np.geomspace(slowest / 30, min(10 * fastest, nyquist), n)
+    pairs = poles[np.isfinite(poles) & (poles.imag > 0)]
+    spread = np.concatenate([-np.geomspace(0.05, 5, 8)[::-1], [0.0], np.geomspace(0.05, 5, 8)])
+    around = (pairs.imag[:, None] + np.abs(pairs.real)[:, None] * spread).ravel() / (2 * np.pi)
+    grid = np.unique(np.concatenate([[0.0], even, around, rates]))
+    return np.asarray(grid[(grid >= 0) & (grid <= nyquist)])

@@ -1,0 +1,208 @@
+"""The largest singular value of a transfer matrix over all frequencies (H-infinity norm), exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf, pi
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import matrix_balance
+
+from gbid.errors import UsageError
+from gbid.structure import LinearModel
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+
+class Peak(NamedTuple):
+    """Largest gain and where it lies.
+
+    Attributes
+    ----------
+    value : float
+        Infinite for an unstable model.
+    frequency_hz : float
+        Frequency [Hz]; infinite where the gain grows towards high frequencies, NaN for an unstable model.
+    """
+
+    value: float
+    frequency_hz: float
+
+
+def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
+    r"""Find the H-infinity norm, the largest singular value over all frequencies.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Continuous without exact delays, or sampled.
+    tolerance : float
+        Relative; no frequency has a gain larger by more than twice this.
+
+    Returns
+    -------
+    Peak
+        Of the transfer matrix from all inputs to all outputs; infinite when the model is not stable.
+
+    Raises
+    ------
+    UsageError
+        For a model with exact delays (`gbid.control.Sensitivities.peak` takes them).
+
+    Notes
+    -----
+    Bruinsma and Steinbuch (1990): :math:`\gamma` is a singular value of :math:`G(\mathrm i\omega)` exactly where
+    the Hamiltonian matrix
+
+    .. math:: H_\gamma = \begin{bmatrix} F & B R^{-1} B^T \\ -C^T (I + D R^{-1} D^T) C & -F^T \end{bmatrix},
+              \quad R = \gamma^2 I - D^T D, \quad F = A + B R^{-1} D^T C,
+
+    has an eigenvalue :math:`\mathrm i\omega`. From a lower bound the crossings give intervals whose middles give a
+    better one, until there are none above it. The first lower bound is the largest gain at the frequencies of the
+    poles, refined, so that one eigenvalue problem mostly settles it. A sampled model is mapped to a continuous one by
+    the bilinear transform, which keeps the norm.
+    """
+    if model.delay is not None:
+        raise UsageError(f"model {model.name!r} has exact delays; its peak follows from frequency responses only")
+    if not model.is_stable():
+        return Peak(inf, float("nan"))
+    A, B, C, D = (np.array(m) for m in (model.A, model.B, model.C, model.D))
+    if model.dt is None:
+        value, w = _peak_of(A, B, C, D, tolerance)
+        return Peak(value, w / (2 * pi))
+    value, w = _peak_of(*_bilinear(A, B, C, D), tolerance)
+    return Peak(value, float(np.arctan(w) / (pi * model.dt)))
+
+
+def largest_singular_values(matrices: ComplexArray) -> FloatArray:
+    """Return the largest singular value of each of a stack of matrices (..., n, m); two by two in closed form."""
+    if matrices.shape[-2:] != (2, 2):
+        return np.asarray(np.linalg.svd(matrices, compute_uv=False)[..., 0])
+    a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
+    squares = np.abs(a) ** 2 + np.abs(b) ** 2 + np.abs(c) ** 2 + np.abs(d) ** 2
+    return larger_of_two(squares, np.abs(a * d - b * c))
+
+
+def larger_of_two(squares: FloatArray, determinant: FloatArray) -> FloatArray:
+    """Return the larger singular value from the sum of their squares and their product."""
+    return np.asarray(0.5 * (np.sqrt(squares + 2 * determinant) + np.sqrt(np.maximum(squares - 2 * determinant, 0.0))))
+
+
+def refine_maxima(
+    function: Callable[[FloatArray], FloatArray], grid: FloatArray, candidates: int = 4, rounds: int = 4
+) -> tuple[float, float]:
+    """Find the largest value of a function of frequency from a grid and a zoom into its best local maxima.
+
+    Parameters
+    ----------
+    function : callable
+        From frequencies (n,) to values (n,).
+    grid : (n,) array
+        Rising; its ends count too.
+    candidates : int
+        How many of the highest local maxima are looked into.
+    rounds : int
+        Each narrows the bracket eightfold around the best of 17 points; a parabola through the last three ends it.
+
+    Returns
+    -------
+    tuple of float
+        Value and place.
+    """
+    values = function(grid)
+    padded = np.concatenate([[-inf], values, [-inf]])
+    peaks = np.flatnonzero((values >= padded[:-2]) & (values >= padded[2:]))
+    peaks = peaks[np.argsort(values[peaks])[::-1][:candidates]]
+    low, high = grid[np.maximum(peaks - 1, 0)], grid[np.minimum(peaks + 1, len(grid) - 1)]
+    steps = np.linspace(0.0, 1.0, 17)
+    best, place = values[peaks], grid[peaks]
+    for _ in range(rounds):
+        points = low[:, None] + (high - low)[:, None] * steps
+        found = function(points.ravel()).reshape(points.shape)
+        top = found.argmax(axis=1)
+        row = np.arange(len(top))
+        best, place = found[row, top], points[row, top]
+        inner = np.clip(top, 1, len(steps) - 2)
+        low, high = points[row, inner - 1], points[row, inner + 1]
+    winner = int(best.argmax())
+    value, where = float(best[winner]), float(place[winner])
+    return (value, where) if value >= values.max() else (float(values.max()), float(grid[values.argmax()]))
+
+
+def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float) -> tuple[float, float]:
+    """Largest gain of a stable continuous model and its angular frequency."""
+    at_infinity = float(np.linalg.norm(D, 2)) if D.size else 0.0
+    if not len(A) or not B.any() or not C.any():
+        return at_infinity, 0.0
+    A, scaling = matrix_balance(A, permute=False, separate=True)
+    scale = scaling[0]
+    B, C = B / scale[:, None], C * scale
+    eye = np.eye(len(A))
+
+    def gains(w: FloatArray) -> FloatArray:
+        states = np.linalg.solve(1j * w[:, None, None] * eye - A, B.astype(complex))
+        return largest_singular_values(np.asarray(C @ states + D, np.complex128))
+
+    poles = np.linalg.eigvals(A)
+    places = np.unique(np.concatenate([[0.0], np.abs(poles), np.abs(poles.imag)]))
+    found = gains(places)
+    best, w_best = float(found.max()), float(places[found.argmax()])
+    if at_infinity > best:
+        best, w_best = at_infinity, inf
+    if best == 0.0:
+        best = np.finfo(float).tiny ** 0.5
+    for _ in range(60):
+        gamma = best * (1 + 2 * tolerance)
+        crossings = _crossings(A, B, C, D, gamma)
+        if not len(crossings):
+            break
+        edges = np.unique(np.concatenate([[0.0], crossings]))
+        middles = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2])
+        found = gains(middles)
+        if found.max() <= gamma:  # crossings by rounding only: the curve touches gamma from below
+            if found.max() > best:
+                best, w_best = float(found.max()), float(middles[found.argmax()])
+            break
+        best, w_best = float(found.max()), float(middles[found.argmax()])
+    return _vertex(gains, best, w_best)
+
+
+def _vertex(gains: Callable[[FloatArray], FloatArray], best: float, w: float) -> tuple[float, float]:
+    """Take the last digits from the parabola through three points."""
+    if not 0 < w < inf:
+        return best, w
+    step = 1e-4 * w
+    before, middle, after = gains(np.array([w - step, w, w + step]))
+    bend = before - 2 * middle + after
+    if bend >= 0:
+        return best, w
+    place = w + np.clip(0.5 * (before - after) / bend, -1.0, 1.0) * step
+    value = float(gains(np.array([place]))[0])
+    return (value, float(place)) if value > best else (best, w)
+
+
+def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma: float) -> FloatArray:
+    """Angular frequencies at which a singular value may equal gamma; some may be so by rounding."""
+    R = gamma**2 * np.eye(D.shape[1]) - D.T @ D
+    weighted = np.linalg.solve(R, np.hstack([B.T, D.T @ C]))
+    BRB, RDC = B @ weighted[:, : len(A)], weighted[:, len(A) :]
+    F = A + B @ RDC
+    # both off-diagonal blocks of one size: the eigenvalues do not change with this scaling
+    lower = C.T @ (C + D @ RDC)
+    ratio = np.sqrt(max(float(np.linalg.norm(lower)), 1e-300) / max(float(np.linalg.norm(BRB)), 1e-300))
+    H = np.block([[F, BRB * ratio], [-lower / ratio, -F.T]])
+    eigenvalues = np.linalg.eigvals(H)
+    near = np.abs(eigenvalues.real) <= 1e-7 * np.abs(eigenvalues) + 1e-13 * np.linalg.norm(H, 1)
+    return np.sort(eigenvalues.imag[near & (eigenvalues.imag >= 0)])
+
+
+def _bilinear(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Continuous model with ``G_c((z - 1)/(z + 1)) = G(z)``: the same gains, ``w = tan(theta / 2)``."""
+    eye = np.eye(len(A))
+    plus = np.linalg.inv(A + eye)
+    return (A - eye) @ plus, np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B

@@ -1,0 +1,112 @@
+"""What a design is worth: the paper's design and its printed figures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control import HalfSine, PStructure, scheduled
+from gbid.control.point_assessment import FIGURES
+from gbid.errors import UsageError
+
+MACHINE = gbid.load_model("theisen2016")
+GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
+
+
+@pytest.fixture(scope="module")
+def paper() -> object:
+    return gbid.assess(MACHINE, "P", GAINS, name="paper")
+
+
+def test_the_papers_design_at_six_bar() -> None:
+    (point,) = gbid.assess(MACHINE, "P", GAINS, [(6, 0)]).points
+    modes = [(round(f, 1), round(zeta, 3)) for f, zeta in point.modes[:2]]
+    assert modes == [(99.9, 0.318), (105.1, 0.424)]  # Tables 3 and 4, "expected from model"
+    assert round(point.damping, 3) == 0.318
+    assert round(point.peak_output.value, 3) == 2.283
+    assert point.stable
+    assert not point.exceeds_travel
+    assert point.sampling_cost == point.damping - point.sampled_damping
+
+
+def test_the_papers_design_over_the_operating_points(paper: object) -> None:
+    worst = paper.worst  # type: ignore[attr-defined]
+    assert round(worst["damping"][0], 3) == 0.279
+    assert round(worst["peak_output"][0], 2) == 2.62
+    assert tuple(worst) == FIGURES
+    assert len(paper.points) == 15  # type: ignore[attr-defined]
+    for name, (value, point) in worst.items():
+        assert value == point.figures()[name]
+        others = [p.figures()[name] for p in paper.points]  # type: ignore[attr-defined]
+        assert value in (min(others), max(others))
+
+
+def test_no_feedback_is_the_open_loop() -> None:
+    (point,) = gbid.assess(MACHINE, "P", {"kappa_x": 0.0, "kappa_y": 0.0}, [(6, 0)]).points
+    assert point.damping == pytest.approx(MACHINE.at(6, 0).modes()[1][1], rel=1e-9)
+    assert point.peak_output.value == pytest.approx(1.0, abs=1e-7)
+    assert point.peak_control.value == 0.0
+    assert point.disk.alpha == pytest.approx(2.0, rel=1e-12)
+    assert point.stiffness_ratio == pytest.approx((1.0, 1.0), rel=1e-12)
+    assert point.stack_travel_m == 0.0
+    assert abs(point.sampling_cost) < 1e-9
+
+
+def test_an_unstable_design_is_worst_in_everything() -> None:
+    (point,) = gbid.assess(MACHINE, "P", {"kappa_x": 2.0, "kappa_y": 2.0}, [(6, 0)]).points
+    assert not point.stable
+    assert not point.sampled_stable
+    assert point.damping == -1.0
+    assert point.slowest_decay_hz < 0
+    assert point.static_amplification == np.inf
+    assert point.disk.alpha == 0.0
+    assert point.exceeds_travel
+
+
+def test_scheduled_gains_are_taken_at_each_point() -> None:
+    structure = scheduled(PStructure(), ("1", "P"), MACHINE.domain)
+    gains = {"kappa_x_1": 1.0, "kappa_x_P": 0.2, "kappa_y_1": 0.9, "kappa_y_P": -0.1}
+    found = gbid.assess(MACHINE, structure, gains, [(3, 0), (7, 0)])
+    for point, kappa in zip(found.points, ((0.8, 1.0), (1.2, 0.8)), strict=True):
+        fixed = gbid.assess(MACHINE, "P", dict(zip(GAINS, kappa, strict=True)), [(point.pressure_bar, 0)]).points[0]
+        assert point.figures() == pytest.approx(fixed.figures(), rel=1e-9)
+
+
+def test_a_harder_blow_moves_everything_in_proportion() -> None:
+    blow = HalfSine()
+    one, two = (
+        gbid.assess(MACHINE, "P", GAINS, [(6, 0)], impact=replace(blow, peak_n=factor * blow.peak_n)).points[0]
+        for factor in (1, 3)
+    )
+    assert two.impact_p_m == pytest.approx(3 * one.impact_p_m, rel=1e-9)
+    assert two.stack_travel_m == pytest.approx(3 * one.stack_travel_m, rel=1e-9)
+    assert two.exceeds_travel
+    assert two.decay_time_s == pytest.approx(one.decay_time_s)
+
+
+def test_designs_side_by_side(paper: object) -> None:
+    weaker = gbid.assess(MACHINE, "P", {"kappa_x": 0.5, "kappa_y": 0.5}, name="half as much")
+    table = gbid.compare_designs([paper, weaker])  # type: ignore[list-item]
+    assert [row[0] for row in table.rows] == ["paper", "half as much"]
+    assert table.columns[:4] == ("design", "smallest damping", "peak S_o", "peak K S_o")
+    assert table.rows[0][1:3] == ("0.279", "2.621")
+    lines = str(table).splitlines()
+    assert len(lines) == 3
+    assert len({len(line) for line in lines}) == 1
+    elsewhere = gbid.assess(MACHINE, "P", GAINS, [(6, 0)])
+    with pytest.raises(UsageError, match="assess them alike"):
+        gbid.compare_designs([paper, elsewhere])  # type: ignore[list-item]
+    with pytest.raises(UsageError, match="no designs"):
+        gbid.compare_designs([])
+
+
+def test_bad_input() -> None:
+    with pytest.raises(UsageError, match="no operating points; give points"):
+        gbid.assess(MACHINE, "P", GAINS, [])
+    with pytest.raises(UsageError, match="lies outside its domain"):
+        gbid.assess(MACHINE, "P", GAINS, [(8, 0)])
+    with pytest.raises(UsageError, match="no value for kappa_y"):
+        gbid.assess(MACHINE, "P", {"kappa_x": 1.0}, [(6, 0)])

@@ -1,0 +1,158 @@
+"""Controllers in files: read back as written, refused when broken, and as C beside the model they came from."""
+
+from __future__ import annotations
+
+import ctypes
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_controller_structures import own
+
+import gbid
+from gbid.control import BiquadStructure, PStructure, controller_model, export_c, sample_controller, scheduled
+from gbid.errors import UsageError
+
+GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
+BIQUAD = dict(
+    zip(
+        [p.name for p in BiquadStructure().parameters],
+        [1.1, 0.9, -0.4, 0.3, 0.2, -0.7, 0.12, 0.31, 0.8, 1.4],
+        strict=True,
+    )
+)
+
+
+@pytest.mark.parametrize(
+    ("structure", "gains"),
+    [
+        (gbid.controller_structure("P", lowpass_hz=800.0, order=2), GAINS),
+        (gbid.controller_structure("PD"), {**GAINS, "kd_x": 0.123456789012345, "kd_y": -1.0}),
+        (gbid.controller_structure("biquad", damping=(0.1, 2.0)), BIQUAD),
+        (gbid.controller_structure("P", order=0), GAINS),
+    ],
+)
+def test_round_trip(structure: object, gains: dict[str, float], tmp_path: Path) -> None:
+    path = tmp_path / "design.yaml"
+    provenance = {"peak_sensitivity": 2.6, "made_by": "test"}
+    gbid.save_controller(
+        path, structure, gains, name="mine", plant="theisen2016", method="zoh", sample_time=1e-4, provenance=provenance
+    )  # type: ignore[arg-type]
+    design = gbid.load_controller(path)
+    assert design.structure == structure
+    assert design.gains == gains
+    assert (design.name, design.plant, design.method, design.sample_time) == ("mine", "theisen2016", "zoh", 1e-4)
+    assert design.provenance == provenance
+    assert set(design.units) == set(gains)
+    expected = controller_model(structure, gains)  # type: ignore[arg-type]
+    for letter in "ABCD":
+        np.testing.assert_array_equal(getattr(design.at(), letter), getattr(expected, letter))
+        np.testing.assert_array_equal(getattr(design.models[None], letter), getattr(expected, letter))
+        np.testing.assert_array_equal(
+            getattr(design.sampled_at(), letter), getattr(sample_controller(expected, 1e-4, "zoh"), letter)
+        )
+
+
+def test_scheduled_round_trip(tmp_path: Path) -> None:
+    structure = scheduled(PStructure(), ("1", "P", "Omega"))
+    gains = {p.name: 0.1 * i for i, p in enumerate(structure.parameters)}
+    path = tmp_path / "scheduled.yaml"
+    with pytest.raises(UsageError, match="give the operating points="):
+        gbid.save_controller(path, structure, gains)
+    gbid.save_controller(path, structure, gains, points=[(3, 0), (6, 2050)])
+    design = gbid.load_controller(path)
+    assert design.structure == structure
+    assert list(design.models) == [(3.0, 0.0), (6.0, 2050.0)]
+    np.testing.assert_array_equal(design.at(6, 2050).C, design.models[(6.0, 2050.0)].C)
+    with pytest.raises(UsageError, match="its gains follow the operating point; give pressure_bar"):
+        design.at()
+
+
+def test_structure_of_ones_own(tmp_path: Path) -> None:
+    gains = {"low": 1.25, "high": -0.5}
+    path = tmp_path / "lead.yaml"
+    gbid.save_controller(path, own(), gains)
+    expected = controller_model(own(), gains)
+    bare, whole = gbid.load_controller(path), gbid.load_controller(path, own())
+    assert bare.structure is None
+    for design in (bare, whole):
+        np.testing.assert_array_equal(design.at(5.0, 0.0).D, expected.D)
+        assert design.sampled_at().dt == 2e-4
+
+
+def test_bad_files(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    gbid.save_controller(path, "P", GAINS)
+    text = path.read_text()
+    with pytest.raises(UsageError, match="exists"):
+        gbid.save_controller(path, "P", GAINS)
+    gbid.save_controller(path, "P", GAINS, overwrite=True)
+    line = text.splitlines().index("  kappa_x:") + 2
+    for old, new, message in (
+        ("value: 1.125", "value: 1.2", r"continuous C is not what the gains and the sampling give"),
+        ("method: tustin", "method: zoh", r"sampled \w is not what the gains and the sampling give"),
+        ("value: 1.125", "value: high", rf"p\.yaml:{line}:5: gains\.kappa_x\.value = 'high'"),
+        ("kind: controller", "kind: lpv_model", r"p\.yaml:1:1: kind = 'lpv_model'"),
+        ("order: 1", "ordre: 1", r"unknown option ordre; there are"),
+        ("sampling:", "sampled:", r"unknown key 'sampled'"),
+        ("sample_time_s: 0.0002", "sample_time_s: -1.0", r"sample_time = -1.0 s; give a positive"),
+    ):
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+        with pytest.raises(UsageError, match=message):
+            gbid.load_controller(path)
+    with pytest.raises(UsageError, match="no such file"):
+        gbid.load_controller(tmp_path / "none.yaml")
+    with pytest.raises(UsageError, match=r"ends in \.yaml"):
+        gbid.save_controller(tmp_path / "p.h5", "P", GAINS)
+    with pytest.raises(UsageError, match="so points= has no use"):
+        gbid.save_controller(tmp_path / "q.yaml", "P", GAINS, points=[(6, 0)])
+    path.write_text(text)
+    with pytest.raises(UsageError, match="leave structure= out"):
+        gbid.load_controller(path, own())
+
+
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+@pytest.mark.parametrize(("number", "tolerance"), [("double", 1e-12), ("float", 1e-5)])
+@pytest.mark.parametrize("kind", ["P", "biquad", "gain"])
+def test_c_is_the_sampled_model_with_saturation(kind: str, number: str, tolerance: float, tmp_path: Path) -> None:
+    if kind == "gain":
+        model = controller_model(PStructure(order=0), GAINS)
+    else:
+        model = controller_model(gbid.controller_structure(kind), GAINS if kind == "P" else BIQUAD)
+    sampled = sample_controller(model, 2e-4)
+    source, header = export_c(tmp_path / "damper.c", sampled, limit_m=22.5e-6, number=number)
+    library = tmp_path / "damper.so"
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-fPIC", "-shared"]
+    done = subprocess.run(["cc", *flags, str(source), "-o", str(library)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert header.is_file()
+    code = ctypes.CDLL(str(library))
+    real = ctypes.c_double if number == "double" else ctypes.c_float
+    state, r = (real * max(sampled.n_states, 1))(*[9.0] * sampled.n_states), (real * 2)()
+    code.damper_reset(state)
+    p = np.random.default_rng(1).normal(scale=15e-6, size=(500, 2))
+    found = np.empty((500, 2))
+    for k in range(500):
+        code.damper_step(state, (real * 2)(*p[k]), r)
+        found[k] = r
+    expected = np.clip(sampled.simulate(p), -22.5e-6, 22.5e-6)
+    assert (np.abs(expected) == 22.5e-6).any()
+    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * 22.5e-6)
+
+
+def test_bad_exports(tmp_path: Path) -> None:
+    model = controller_model(PStructure(), GAINS)
+    sampled = sample_controller(model, 2e-4)
+    export_c(tmp_path / "damper.c", sampled)
+    for arguments, options, message in (
+        ((tmp_path / "damper.c", sampled), {}, "exists; choose another name or overwrite=True"),
+        ((tmp_path / "new.c", model), {}, "is continuous; sample it first"),
+        ((tmp_path / "two words.c", sampled), {}, r"a C identifier and ends in \.c"),
+        ((tmp_path / "new.c", sampled), {"limit_m": 0.0}, "limit_m = 0.0; give a positive"),
+        ((tmp_path / "new.c", sampled), {"number": "half"}, "choose 'double' or 'float'"),
+    ):
+        with pytest.raises(UsageError, match=message):
+            export_c(*arguments, **options)  # type: ignore[arg-type]

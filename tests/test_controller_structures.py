@@ -1,0 +1,182 @@
+"""Controllers of fixed structure: against their transfer functions, written out."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import gbid
+from gbid.control import (
+    BiquadStructure,
+    PDStructure,
+    PStructure,
+    Scheduled,
+    controller_at,
+    controller_model,
+    p_controller,
+    scheduled,
+)
+from gbid.errors import UsageError
+from gbid.lpv import Domain
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure, symbolic_matrices
+
+FREQUENCIES = np.array([0.0, 10.0, 150.0, 900.0, 4000.0])
+S = 2j * np.pi * FREQUENCIES
+
+
+def lowpass(corner_hz: float, order: int) -> np.ndarray:
+    pole = 2 * np.pi * corner_hz
+    return (pole / (S + pole)) ** order
+
+
+def diagonal(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    return x[:, None, None] * np.diag([1.0, 0.0]) + y[:, None, None] * np.diag([0.0, 1.0])
+
+
+@pytest.mark.parametrize("order", [0, 1, 3])
+def test_p_is_equation_21(order: int) -> None:
+    model = controller_model(PStructure(lowpass_hz=300.0, order=order), {"kappa_x": 1.5, "kappa_y": -0.7})
+    same = p_controller(1.5, -0.7, 300.0, order)
+    for letter in "ABCD":
+        np.testing.assert_allclose(getattr(model, letter), getattr(same, letter), rtol=1e-14)
+    assert (model.input_names, model.output_names) == (("p_x", "p_y"), ("r_x", "r_y"))
+
+
+@pytest.mark.parametrize("order", [1, 2, 4])
+def test_pd(order: int) -> None:
+    gains = {"kappa_x": 0.4, "kappa_y": -1.0, "kd_x": 1.2, "kd_y": -0.3}
+    response = controller_model(PDStructure(lowpass_hz=700.0, order=order), gains).frequency_response(FREQUENCIES)
+    expected = diagonal(0.4 + 1.2e-3 * S, -1.0 - 0.3e-3 * S) * lowpass(700.0, order)[:, None, None]
+    np.testing.assert_allclose(response, expected, rtol=1e-11, atol=1e-12)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    b=st.lists(st.floats(-5, 5), min_size=6, max_size=6),
+    frequency=st.tuples(st.floats(0.02, 1.5), st.floats(0.02, 1.5)),
+    damping=st.tuples(st.floats(0.05, 3), st.floats(0.05, 3)),
+    order=st.integers(0, 2),
+)
+def test_biquad(b: list[float], frequency: tuple[float, float], damping: tuple[float, float], order: int) -> None:
+    structure = BiquadStructure(order=order)
+    values = [*(b[2 * i + k] for i in range(3) for k in range(2)), *frequency, *damping]
+    gains = dict(zip([p.name for p in structure.parameters], values, strict=True))
+    axes = []
+    for k, axis in enumerate("xy"):
+        w, z = 2e3 * np.pi * frequency[k], damping[k]
+        b0, b1, b2 = (gains[f"b{i}_{axis}"] for i in range(3))
+        axes.append((b2 * S**2 + b1 * w * S + b0 * w**2) / (S**2 + 2 * z * w * S + w**2))
+    model = controller_model(structure, gains)
+    expected = diagonal(*axes) * lowpass(1000.0, order)[:, None, None]
+    np.testing.assert_allclose(model.frequency_response(FREQUENCIES), expected, rtol=1e-9, atol=1e-10)
+    assert model.is_stable()
+    assert model.n_states == 2 * (2 + order)
+
+
+def test_tuned_corner_is_the_fixed_one() -> None:
+    fixed = controller_model(PStructure(lowpass_hz=400.0), {"kappa_x": 1.0, "kappa_y": 2.0})
+    tuned = controller_model(PStructure(tune_corner=True), {"kappa_x": 1.0, "kappa_y": 2.0, "lowpass_khz": 0.4})
+    np.testing.assert_allclose(
+        tuned.frequency_response(FREQUENCIES), fixed.frequency_response(FREQUENCIES), rtol=1e-13, atol=1e-16
+    )
+
+
+@pytest.mark.parametrize("kind", ["P", "PD", "biquad"])
+def test_built_in_structures_keep_the_protocol_and_close_the_loop(kind: str) -> None:
+    structure = gbid.controller_structure(kind)
+    assert isinstance(structure, Structure)
+    symbolic_matrices(structure)
+    starts = {p.name: p.start for p in structure.parameters}
+    assert all(p.start is not None and p.lower <= p.start <= p.upper for p in structure.parameters)
+    assert len(starts) == len(structure.parameters)
+    loop = gbid.close_loop(gbid.load_model("theisen2016").plant_at(6, 0), controller_model(structure, starts))  # type: ignore[arg-type]
+    assert loop.is_stable()
+
+
+def lead(p: dict[str, ca.SX]) -> dict[str, object]:
+    pole = 2 * np.pi * 800.0
+    eye = ca.SX.eye(2)
+    return {"A": -pole * eye, "B": pole * eye, "C": -p["high"] * eye, "D": (p["low"] + p["high"]) * eye}
+
+
+def own() -> gbid.LinearStructure:
+    return gbid.LinearStructure(
+        "lead", [gbid.Parameter("low", 1.0, 0, 3), gbid.Parameter("high", 0.5, -3, 3)], lead, "p", "r"
+    )
+
+
+def test_structure_of_ones_own() -> None:
+    structure = gbid.controller_structure(own())
+    model = controller_model(structure, {"low": 1.2, "high": 0.4})
+    pole = 2 * np.pi * 800.0
+    expected = 1.2 + 0.4 * S / (S + pole)
+    np.testing.assert_allclose(model.frequency_response(FREQUENCIES)[:, 0, 0], expected, rtol=1e-12)
+    with pytest.raises(UsageError, match="options order belong to built-in structures"):
+        gbid.controller_structure(own(), order=2)
+
+
+def test_scheduled_gains_are_polynomials_over_the_scaled_domain() -> None:
+    terms = ("1", "P", "Omega", "Omega P", "Omega^2")
+    structure = scheduled(PStructure(), terms, Domain((3, 7), (0, 6000)))
+    names = [p.name for p in structure.parameters]
+    rng = np.random.default_rng(3)
+    gains = dict(zip(names, rng.normal(size=len(names)), strict=True))
+    assert names[:5] == ["kappa_x_1", "kappa_x_P", "kappa_x_Omega", "kappa_x_OmegaP", "kappa_x_Omega2"]
+    P, Omega = 4.5, 1234.0
+    p, w = (P - 5) / 2, (Omega - 3000) / 3000
+    c = [gains[name] for name in names]
+    expected = {f"kappa_{a}": float(np.dot(c[5 * i : 5 * i + 5], [1, p, w, w * p, w * w])) for i, a in enumerate("xy")}
+    assert structure.gains(gains, P, Omega) == pytest.approx(expected, rel=1e-13)
+    model = controller_at(structure, gains, P, Omega)
+    np.testing.assert_allclose(model.C, p_controller(expected["kappa_x"], expected["kappa_y"]).C, rtol=1e-12)
+    at = structure.at(P, Omega)
+    np.testing.assert_allclose(controller_model(at, gains).C, model.C, rtol=1e-12)
+
+
+def test_scheduled_matrices_take_symbols() -> None:
+    structure = scheduled(PStructure(), ("1", "P"))
+    point = ca.SX.sym("point", 2)
+    p = gbid.structure.parameter.Values.of(structure.parameters, ca.SX.sym("c", 4))
+    C = structure.matrices(p, point[0], point[1])["C"]
+    function = ca.Function("C", [ca.vertcat(*p.values()), point], [ca.densify(C)])
+    values = [1.0, 0.5, 2.0, -0.25]
+    expected = controller_at(structure, dict(zip(p, values, strict=True)), 6.0, 0.0).C
+    np.testing.assert_allclose(np.array(function(values, [6.0, 0.0])), expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: gbid.controller_structure("PID"), "controller = 'PID'; choose 'P', 'PD', 'biquad'"),
+        (lambda: gbid.controller_structure(3), "controller = 3; choose"),
+        (lambda: gbid.controller_structure("P", corner=3), "unknown option corner; there are lowpass_hz, order"),
+        (lambda: gbid.controller_structure("P", lowpass_hz=-1.0), "lowpass_hz = -1.0; give a positive number"),
+        (lambda: gbid.controller_structure("P", order=1.5), "order = 1.5; it must be a whole number"),
+        (lambda: gbid.controller_structure("PD", order=0), "without a low-pass it is not proper"),
+        (lambda: gbid.controller_structure("P", order=0, tune_corner=True), "tune_corner needs a low-pass"),
+        (lambda: gbid.controller_structure("P", lowpass_hz=1e4, tune_corner=True), "it must start in 50 to 2500"),
+        (lambda: gbid.controller_structure("biquad", damping=(1.0, 0.5)), r"damping = \(1, 0.5\); give two positive"),
+        (lambda: gbid.controller_structure("biquad", gain_limit=0.0), "gain_limit = 0.0; give a positive"),
+        (lambda: gbid.controller_structure("P", lower=2.0, upper=1.0).parameters, "lower = 2.0 must be below upper"),
+        (lambda: gbid.controller_structure("P", upper=np.inf), "upper = inf; give a finite number"),
+        (lambda: controller_model(PStructure(), {"kappa_x": 1.0}), "no value for kappa_y"),
+        (lambda: controller_model(PStructure(), {"kappa_x": 1.0, "kappa_y": 1, "kd": 1}), "no gain kd; there are"),
+        (lambda: controller_model(PStructure(), {"kappa_x": np.nan, "kappa_y": 1}), "kappa_x = nan; give a finite"),
+        (lambda: scheduled(PStructure(), ("P",)), "choose from '1', 'P'"),
+        (lambda: scheduled(PStructure(), ("1", "P^3")), "choose from '1', 'P'"),
+        (lambda: scheduled(PStructure()).gains({}, 5.0, 0.0), "no value for kappa_x_1"),
+        (lambda: at_point(9.0), r"pressure_bar = 9 lies outside its domain \[3, 7\]"),
+    ],
+)
+def test_bad_input(make: object, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        make()  # type: ignore[operator]
+
+
+def at_point(pressure: float) -> LinearModel:
+    structure: Scheduled = scheduled(PStructure())
+    return controller_at(structure, {p.name: 0.0 for p in structure.parameters}, pressure, 0.0)

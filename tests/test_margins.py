@@ -1,0 +1,162 @@
+"""Margins of a loop: closed forms, python-control, and changes that do make the loop unstable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+from test_sensitivity import MACHINE, PAPER, static
+
+import gbid
+from gbid.control import (
+    close_loop,
+    disk_margin,
+    disk_margins_by_loop,
+    exact_plant,
+    loop_margins,
+    p_controller,
+    slow_poles,
+    static_amplification,
+    static_force_gain,
+    static_stiffness_ratio,
+)
+from gbid.control.margins import structured_singular_values
+from gbid.errors import UsageError
+from gbid.structure import LinearModel
+
+PLANT = MACHINE.plant_at(6, 0)
+TRIPLE = LinearModel([[-1, 0, 0], [1, -1, 0], [0, 1, -1]], [[1], [0], [0]], [[0, 0, 1]], [[0]])  # 1/(s + 1)^3
+
+
+def test_margins_of_a_triple_lag() -> None:
+    k = 2.0
+    (found,) = loop_margins(gbid.sensitivities(TRIPLE, static(-k)))
+    w = np.sqrt(k ** (2 / 3) - 1)
+    phase = np.pi - 3 * np.arctan(w)
+    assert found.gain == pytest.approx((0.0, 8 / k), rel=1e-9)
+    assert found.phase_deg == pytest.approx(np.degrees(phase), rel=1e-9)
+    assert found.delay_s == pytest.approx(phase / w, rel=1e-9)
+
+
+def test_lower_gain_margin() -> None:
+    """An unstable plant 2/(s - 1) under -1: stable from half the gain on."""
+    plant = LinearModel([[1.0]], [[2.0]], [[1.0]], [[0.0]])
+    (found,) = loop_margins(gbid.sensitivities(plant, static(-1.0)))
+    assert found.gain == pytest.approx((0.5, np.inf))
+
+
+def test_classical_margins_are_where_the_published_loop_becomes_unstable() -> None:
+    for i, margin in enumerate(loop_margins(gbid.sensitivities(PLANT, PAPER))):
+        for factor, stable in ((0.999 * margin.gain[1], True), (1.001 * margin.gain[1], False)):
+            gains = np.array([1.125, 0.99])
+            gains[i] *= factor
+            assert close_loop(PLANT, p_controller(*gains)).is_stable() is stable
+
+
+def test_delay_margin_of_the_published_loop() -> None:
+    """The extra delay in one axis, as an exact delay, tips stability judged by high Pade orders."""
+    plant = exact_plant(MACHINE, 6, 0)
+    margins = loop_margins(gbid.sensitivities(plant, PAPER), "input")
+    assert plant.delay is not None
+    for i, margin in enumerate(margins):
+        for factor, stable in ((0.995, True), (1.005, False)):
+            delay = np.array(plant.delay)
+            delay[i] += factor * margin.delay_s
+            late = LinearModel(plant.A, plant.B, plant.C, plant.D, B_delayed=plant.B_delayed, delay=delay)
+            assert close_loop(gbid.with_pade(late, 12), p_controller(1.125, 0.99)).is_stable() is stable
+
+
+def test_disk_margin_of_a_lag_by_python_control() -> None:
+    control = pytest.importorskip("control")
+    loop = gbid.sensitivities(TRIPLE, static(-2.0))
+    L = control.ss(TRIPLE.A, TRIPLE.B, 2.0 * TRIPLE.C, TRIPLE.D)
+    alpha, gain, phase = control.disk_margins(L, np.linspace(0.01, 10, 20001))
+    found = disk_margin(loop)
+    assert found.alpha == pytest.approx(float(alpha), rel=1e-7)
+    assert found.phase_deg == pytest.approx(float(phase), rel=1e-7)
+    assert 20 * np.log10(found.gain[1]) == pytest.approx(float(gain), rel=1e-7)
+    assert disk_margins_by_loop(loop)[0].alpha == pytest.approx(found.alpha)
+
+
+def test_structured_singular_value_is_that_of_the_worst_phases() -> None:
+    """For a diagonal change mu is the largest spectral radius of M diag(e^(i theta)): on a fine grid of theta."""
+    rng = np.random.default_rng(2)
+    M = rng.normal(size=(20, 2, 2)) + 1j * rng.normal(size=(20, 2, 2))
+    turn = np.exp(2j * np.pi * np.linspace(0, 1, 20001))
+    for matrix, mu in zip(M, structured_singular_values(M), strict=True):
+        turned = matrix[None] * np.stack([np.ones_like(turn), turn], axis=1)[:, None, :]
+        radius = np.abs(np.linalg.eigvals(turned)).max()
+        assert radius <= mu * (1 + 1e-12)
+        assert radius == pytest.approx(mu, rel=1e-6)
+
+
+@pytest.mark.parametrize("at", ["output", "input"])
+def test_no_change_inside_the_disk_breaks_the_loop_and_one_on_its_border_does(at: str) -> None:
+    loop = gbid.sensitivities(PLANT, PAPER)
+    found = disk_margin(loop, at)  # type: ignore[arg-type]
+    L = PLANT.frequency_response(found.frequency_hz)[0], PAPER.frequency_response(found.frequency_hz)[0]
+    L = L[0] @ L[1] if at == "output" else L[1] @ L[0]
+    theta = np.linspace(0, 2 * np.pi, 181)
+    grid = np.stack(np.meshgrid(theta, theta, indexing="ij"), axis=-1).reshape(-1, 2)
+
+    def distance(size: float) -> float:
+        def determinant(angles: np.ndarray) -> np.ndarray:
+            delta = size * np.exp(1j * angles)
+            change = (1 + delta / 2) / (1 - delta / 2)
+            return np.abs(np.linalg.det(np.eye(2) - L * change[..., None, :]))
+
+        start = grid[determinant(grid).argmin()]
+        return float(minimize(determinant, start, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-14}).fun)
+
+    assert distance(found.alpha) < 1e-7
+    assert distance(0.99 * found.alpha) > 1e-4
+    low, high = found.gain
+    for x in (low, 1.0, high):
+        for y in (low, 1.0, high):
+            inside = 1 + 0.999 * (np.array([x, y]) - 1)
+            assert close_loop(PLANT, p_controller(*(inside * [1.125, 0.99]))).is_stable()
+
+
+def test_each_loop_alone_stands_more_than_both() -> None:
+    loop = gbid.sensitivities(PLANT, PAPER)
+    assert min(m.alpha for m in disk_margins_by_loop(loop)) >= disk_margin(loop).alpha
+
+
+def test_at_rest() -> None:
+    loop = gbid.sensitivities(PLANT, PAPER)
+    S0 = np.linalg.inv(np.eye(2) - PLANT.static_gain() @ np.diag([1.125, 0.99]))
+    assert static_amplification(loop) == pytest.approx(np.linalg.norm(S0, 2), rel=1e-12)
+    k = MACHINE.key_parameters(6.0, 0.0)
+    K = np.array([[k["k_xx"], k["k_xy"]], [k["k_yx"], k["k_yy"]]])
+    compliance = -np.linalg.inv(K)
+    np.testing.assert_allclose(static_force_gain(PLANT), compliance, rtol=1e-10)
+    B = np.array([[k["b_xx"], k["b_xy"]], [k["b_yx"], k["b_yy"]]])
+    piezo = np.diag([MACHINE.actuators["kappa_x"], MACHINE.actuators["kappa_y"]])
+    softer = -np.linalg.inv(K + B @ piezo @ np.diag([1.125, 0.99]))  # K p + B u + f = 0, u = kappa r, r = K_pl p
+    np.testing.assert_allclose(static_stiffness_ratio(loop), np.diag(compliance) / np.diag(softer), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gains", "pairs"), [((2.1, 1.5), 0), ((1.9, 1.7), 1), ((2.0, 2.0), 0)])
+def test_slow_poles_are_seen_as_real_ones_and_as_a_pair(gains: tuple[float, float], pairs: int) -> None:
+    """Near static instability: a slow real pole, two that have met and left the axis, and one that grows."""
+    slow = slow_poles(gbid.sensitivities(PLANT, p_controller(*gains)), 20.0)
+    poles = close_loop(PLANT, p_controller(*gains)).poles()
+    expected = [-p.real for p in poles if p.real > -2 * np.pi * 20 and p.imag >= 0]
+    assert sum(p.real > -2 * np.pi * 20 and p.imag > 0 for p in poles) == pairs
+    np.testing.assert_allclose(slow, np.sort(expected), rtol=1e-9)
+    assert len(slow) > 0
+    assert len(slow_poles(gbid.sensitivities(PLANT, PAPER))) == 0
+
+
+def test_unstable_loop_has_no_margins() -> None:
+    loop = gbid.sensitivities(PLANT, p_controller(2, 2))
+    assert disk_margin(loop).alpha == 0.0
+    assert loop_margins(loop)[0].gain == (1.0, 1.0)
+
+
+def test_bad_input() -> None:
+    loop = gbid.sensitivities(PLANT, PAPER)
+    with pytest.raises(UsageError, match="choose 'output' or 'input'"):
+        disk_margins_by_loop(loop, "middle")  # type: ignore[arg-type]
+    with pytest.raises(UsageError, match="is no position whose velocity is a state"):
+        static_stiffness_ratio(gbid.sensitivities(TRIPLE, static(-2.0)))

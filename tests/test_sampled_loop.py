@@ -1,0 +1,177 @@
+"""The loop as it runs: against a simulation in fine steps that knows nothing of the exact discretisation."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.signal import cont2discrete
+
+import gbid
+from gbid.control import (
+    close_loop,
+    controller_model,
+    exact_plant,
+    p_controller,
+    sample_controller,
+    sample_plant,
+    sampled_loop,
+)
+from gbid.control.norm import largest_singular_values
+from gbid.errors import UsageError
+from gbid.structure import LinearModel
+
+MACHINE = gbid.load_model("theisen2016")
+PAPER = p_controller(1.125, 0.99)
+TS = 2e-4
+
+
+def with_delay(plant: LinearModel, delay: list[float]) -> LinearModel:
+    return LinearModel(
+        plant.A,
+        plant.B,
+        plant.C,
+        plant.D,
+        B_delayed=plant.B_delayed,
+        delay=delay,
+        input_names=plant.input_names,
+        output_names=plant.output_names,
+    )
+
+
+def fine_steps(
+    plant: LinearModel, controller: LinearModel, late: list[int], computation: int, start: np.ndarray, n: int
+) -> np.ndarray:
+    """Positions at the samples, the plant stepped 20 times a sample; delays are whole steps of that."""
+    assert plant.B_delayed is not None
+    h = TS / 20
+    big = expm(np.block([[plant.A, plant.B_delayed], [np.zeros((2, plant.n_states + 2))]]) * h)
+    F, G = big[: plant.n_states, : plant.n_states], big[: plant.n_states, plant.n_states :]
+    x, xc, held = start.copy(), np.zeros(controller.n_states), np.zeros(2)
+    waiting: deque[tuple[int, np.ndarray]] = deque()  # references computed but not out yet
+    lines = [deque([0.0] * steps) for steps in late]  # references on their way into the rotor
+    positions = []
+    for step in range(20 * n):
+        if step % 20 == 0:
+            p = plant.C @ x
+            positions.append(p)
+            waiting.append((step + computation, controller.C @ xc + controller.D @ p))
+            xc = controller.A @ xc + controller.B @ p
+        while waiting and waiting[0][0] <= step:
+            held = waiting.popleft()[1]
+        arriving = np.empty(2)
+        for i, line in enumerate(lines):
+            line.append(held[i])
+            arriving[i] = line.popleft()
+        x = F @ x + G @ arriving
+    return np.array(positions)
+
+
+@pytest.mark.parametrize("computation", [0, 7, 20, 33])
+@pytest.mark.parametrize("late", [[57, 12], [20, 0], [3, 83]])
+def test_closed_loop_sample_by_sample(late: list[int], computation: int) -> None:
+    plant = with_delay(exact_plant(MACHINE, 6, 0), [k * TS / 20 for k in late])
+    found = sampled_loop(plant, PAPER, TS, computation_s=computation * TS / 20)
+    start = np.zeros(plant.n_states)
+    start[6:8] = 0.01, -0.02  # velocities after a blow
+    expected = fine_steps(plant, found.controller, late, computation, start, 150)
+    state = np.concatenate([start, np.zeros(found.closed.n_states - plant.n_states)])
+    got = found.closed.simulate(np.zeros((150, 2)), initial_state=state)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * np.abs(expected).max())
+
+
+def test_modes_are_those_of_the_response() -> None:
+    """A mode's frequency and damping by the decay of the simulated loop, two samples apart."""
+    loop = sampled_loop(exact_plant(MACHINE, 6, 0), PAPER, TS)
+    values, vectors = np.linalg.eig(loop.closed.A)
+    frequency, damping = loop.modes[0]
+    k = np.abs(np.abs(np.log(values + 1e-300)) / TS - 2 * np.pi * frequency).argmin()
+    y = loop.closed.simulate(np.zeros((40, 2)), initial_state=vectors[:, k].real)[:, 0]
+    # any three samples of one mode obey y[n+1] = 2 Re(z) y[n] - |z|^2 y[n-1]
+    a, b = np.linalg.lstsq(np.column_stack([y[1:-1], y[:-2]]), y[2:], rcond=None)[0]
+    z = np.roots([1, -a, -b])[0]
+    s = np.log(z) / TS
+    assert abs(s) / (2 * np.pi) == pytest.approx(frequency, rel=1e-9)
+    assert -s.real / abs(s) == pytest.approx(damping, rel=1e-8)
+
+
+@pytest.mark.parametrize("point", [(6, 0), (3, 6000)])
+def test_fast_sampling_is_the_continuous_loop(point: tuple[float, float]) -> None:
+    """Damping and peak come to the continuous ones as c1 h + c2 h^2: extrapolated twice they are the same.
+
+    Not so the peak at 3 bar, 6000 rpm: there it gives way to the gain at rest, which sampling does not change.
+    """
+    plant = exact_plant(MACHINE, *point)
+    expected = [close_loop(gbid.with_pade(plant, 8), PAPER).modes()[0][1]]
+    if point == (6, 0):
+        expected.append(gbid.sensitivities(plant, PAPER).peak("output").value)
+    found = []
+    for step in (8e-5, 4e-5, 2e-5):
+        loop = sampled_loop(plant, PAPER, step, computation_s=0.0)
+        found.append([loop.modes[0][1], loop.peak_output.value][: len(expected)])
+    errors = np.array(found) - expected
+    np.testing.assert_allclose(errors[2] / errors[1], 0.5, atol=0.03)
+    once = 2 * errors[1:] - errors[:-1]
+    np.testing.assert_allclose(4 * once[1] - once[0], 0.0, atol=2e-5)
+
+
+def test_peak_of_the_sampled_loop_on_a_dense_grid() -> None:
+    loop = sampled_loop(exact_plant(MACHINE, 7, 6000), p_controller(1.4, 1.2), TS)
+    grid = np.concatenate([np.linspace(0, 300, 30001), np.linspace(300, 2500, 4001)])
+    dense = largest_singular_values(loop.sensitivities.response("output", grid)).max()
+    assert loop.peak_output.value == pytest.approx(dense, rel=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["P", "PD", "biquad"])
+@pytest.mark.parametrize(("method", "scipys"), [("tustin", "bilinear"), ("zoh", "zoh")])
+def test_sampled_controllers_by_scipy(kind: str, method: str, scipys: str) -> None:
+    structure = gbid.controller_structure(kind)
+    rng = np.random.default_rng(4)
+    gains = {p.name: rng.uniform(max(p.lower, -2), min(p.upper, 2)) for p in structure.parameters}
+    controller = controller_model(structure, gains)
+    found = sample_controller(controller, TS, method)  # type: ignore[arg-type]
+    *matrices, _ = cont2discrete((controller.A, controller.B, controller.C, controller.D), TS, scipys)
+    expected = LinearModel(*matrices, dt=TS)  # type: ignore[misc]
+    f = np.array([0.0, 30.0, 400.0, 2400.0])
+    np.testing.assert_allclose(
+        found.frequency_response(f), expected.frequency_response(f), rtol=1e-10, atol=1e-12 * np.abs(matrices[3]).max()
+    )
+    assert found.is_stable()
+
+
+def test_prompt_and_direct_inputs_wait_for_the_computation() -> None:
+    plant = LinearModel([[-100.0]], [[50.0]], [[1.0]], [[0.5]])
+    now, late = sample_plant(plant, 1e-3), sample_plant(plant, 1e-3, 2e-3)
+    u = np.random.default_rng(0).normal(size=(30, 1))
+    expected = np.vstack([np.zeros((2, 1)), now.simulate(u)[:-2]])
+    np.testing.assert_allclose(late.simulate(u), expected, rtol=1e-12, atol=1e-14)
+
+
+def test_published_loop_gains_damping_by_the_lag_of_its_computer() -> None:
+    """One sample of computation adds lag, which the paper's positive feedback turns into damping."""
+    plant = exact_plant(MACHINE, 6, 0)
+    continuous = close_loop(MACHINE.plant_at(6, 0), PAPER).modes()[0][1]
+    at_once = sampled_loop(plant, PAPER, TS, computation_s=0.0).damping
+    one_sample = sampled_loop(plant, PAPER, TS).damping
+    assert continuous < at_once < one_sample
+    assert sampled_loop(plant, PAPER, TS, computation_s=6e-3).stable is False
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: sample_plant(MACHINE.plant_at(6, 0), -1.0), "sample_time = -1.0 s; give a positive"),
+        (lambda: sample_plant(MACHINE.plant_at(6, 0), TS, -1.0), "computation_s = -1.0 s; it must not be negative"),
+        (lambda: sample_plant(MACHINE.plant_at(6, 0).discretise(TS), TS), "is sampled already, at 0.0002 s"),
+        (lambda: sample_controller(PAPER, TS, "euler"), "method = 'euler'; choose 'tustin' or 'zoh'"),  # type: ignore[arg-type]
+        (lambda: sample_controller(sample_controller(PAPER, TS), TS), "is sampled already"),
+        (lambda: sample_controller(PAPER, 0.0), "sample_time = 0.0 s; give a positive"),
+        (lambda: sampled_loop(MACHINE.plant_at(6, 0), sample_controller(PAPER, 1e-3), TS), "bring both to one time"),
+        (lambda: exact_plant(MACHINE, 9, 0), "lies outside its domain"),
+    ],
+)
+def test_bad_input(make: object, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        make()  # type: ignore[operator]
