@@ -1,22 +1,54 @@
 """The virtual test rig: the published machine with exact delays, its experiments and its sensors."""
 
-from gbid.rig.excitation import Experiment, Prbs, Stationary
+from gbid.rig.controller import SampledController
+from gbid.rig.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
+from gbid.rig.excitation import Prbs, Stationary
+from gbid.rig.faults import Faults
+from gbid.rig.hammer import Hammer, Impact
 from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth, Unbalance
+from gbid.rig.piezo import PiezoStack, PiezoStacks
+from gbid.rig.provenance import drawn_truth, saturations, touch_downs
 from gbid.rig.response import Motion, driven_motion, unbalance_orbit
+from gbid.rig.run_up import RunUp
+from gbid.rig.scatter import Scatter, scatter_random, scattered
 from gbid.rig.sensors import SensorChain
-from gbid.rig.simulate import record
+from gbid.rig.simulate import Experiment, record
+from gbid.rig.staircase import StackStaircase, Staircase
+from gbid.rig.stepping import SteppedMotion, stepped_motion
 
 __all__ = [
     "ActuatorTruth",
+    "Contact",
     "Experiment",
+    "Faults",
+    "FilmStiffening",
+    "FlexibleMode",
+    "Hammer",
+    "Impact",
     "Machine",
     "Motion",
+    "NonSynchronous",
+    "PiezoStack",
+    "PiezoStacks",
     "Prbs",
+    "ProcessNoise",
     "RotorBearingTruth",
+    "RunUp",
+    "SampledController",
+    "Scatter",
     "SensorChain",
+    "StackStaircase",
+    "Staircase",
     "Stationary",
+    "SteppedMotion",
     "Unbalance",
+    "drawn_truth",
     "driven_motion",
     "record",
+    "saturations",
+    "scatter_random",
+    "scattered",
+    "stepped_motion",
+    "touch_downs",
     "unbalance_orbit",
 ]

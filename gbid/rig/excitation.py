@@ -39,9 +39,11 @@ class Stationary:
 
     duration_s: float = 5.0
 
-    def reference(self, n_samples: int, sample_time: float, random: np.random.Generator) -> FloatArray:
+    def reference(
+        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
+    ) -> FloatArray:
         """Give the references r, all zero, shape (n_samples, 2) [m]."""
-        del sample_time, random
+        del sample_time, random, n_settle
         return np.zeros((n_samples, 2))
 
 
@@ -78,7 +80,9 @@ class Prbs:
         if not (np.isfinite(self.amplitude) and self.amplitude > 0):
             raise UsageError(f"prbs: amplitude = {self.amplitude} m; it must be positive")
 
-    def reference(self, n_samples: int, sample_time: float, random: np.random.Generator) -> FloatArray:
+    def reference(
+        self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
+    ) -> FloatArray:
         """Draw the references r, shape (n_samples, 2) [m].
 
         Parameters
@@ -89,15 +93,15 @@ class Prbs:
             Time between them [s].
         random : numpy.random.Generator
             Seeded source of the levels.
+        n_settle : int
+            How many of the samples come before the logger starts; the sequence runs through.
 
         Raises
         ------
         UsageError
             When `hold_s` is not a whole number of samples.
         """
+        del n_settle
         hold = whole_samples("prbs: hold_s", self.hold_s, sample_time)
         levels = random.integers(0, 2, size=(-(-n_samples // hold), 2))
         return np.asarray(np.repeat((2.0 * levels - 1.0) * self.amplitude, hold, axis=0)[:n_samples])
-
-
-Experiment = Stationary | Prbs

@@ -11,6 +11,8 @@ import numpy.typing as npt
 
 from gbid.errors import UsageError
 from gbid.recording import FloatArray
+from gbid.rig.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
+from gbid.rig.piezo import PiezoStacks
 from gbid.rig.sensors import SensorChain
 
 
@@ -72,6 +74,25 @@ class RotorBearingTruth:
             object.__setattr__(self, name, value)
         if (self.delay < 0).any():
             raise UsageError(f"rotor bearing: delay = {self.delay.tolist()} s; delays cannot be negative")
+
+    @classmethod
+    def from_parameters(cls, key_parameters: Mapping[str, Any]) -> RotorBearingTruth:
+        """Build it from ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
+
+        Raises
+        ------
+        UsageError
+            When one is missing.
+        """
+        named = _by_name("rotor bearing", key_parameters, _BEARING)
+        K, D, B = (np.reshape([named[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
+        return cls(K, D, B, np.array([named["tau_x"], named["tau_y"]]))
+
+    def key_parameters(self) -> dict[str, float]:
+        """Return the fourteen key parameters by name, ``k_xx`` to ``tau_y``, SI per kg."""
+        matrices = zip("kdb", (self.stiffness, self.damping, self.input_gain), strict=True)
+        named = {f"{a}_{pair}": float(v) for a, m in matrices for pair, v in zip(_PAIRS, m.ravel(), strict=True)}
+        return {**named, "tau_x": float(self.delay[0]), "tau_y": float(self.delay[1])}
 
     def check_stable(self) -> None:
         """Refuse a rotor that does not come to rest by itself.
@@ -154,34 +175,66 @@ class Machine:
     ----------
     rotor_bearing : RotorBearingTruth
         Rotor and gas bearing.
-    actuator : ActuatorTruth
-        Piezo pairs.
+    actuator : ActuatorTruth or PiezoStacks
+        Piezo pairs as linear filters (Table 2), or as four stacks with all that is not linear in them.
     unbalance : Unbalance
         Mass unbalance.
     sensors : SensorChain
         Noise, run-out, offsets and encoder.
     clearance : float
         Radial clearance of the bearing [m]; 25 um in the paper, Sec. 2.
+    moving_mass : float
+        Mass that an impact moves [kg]. Disc and shaft of Table 1 turn about the ball bearing at the other end
+        of the shaft, which makes 1.5 kg + 2.04 kg/3 at the disc.
+    flexible_mode, stiffening, non_synchronous, process_noise : optional
+        What a real rotor does beyond Eq. 5; nothing by default.
+    contact : Contact
+        What the disc meets where the clearance ends.
     """
 
     rotor_bearing: RotorBearingTruth
-    actuator: ActuatorTruth
+    actuator: ActuatorTruth | PiezoStacks
     unbalance: Unbalance = field(default_factory=Unbalance)
     sensors: SensorChain = field(default_factory=SensorChain)
     clearance: float = 25e-6
+    moving_mass: float = 2.18
+    flexible_mode: FlexibleMode | None = None
+    stiffening: FilmStiffening | None = None
+    non_synchronous: NonSynchronous | None = None
+    process_noise: ProcessNoise | None = None
+    contact: Contact = field(default_factory=Contact)
 
     def __post_init__(self) -> None:
-        if not self.clearance > 0:
-            raise UsageError(f"machine: clearance = {self.clearance} m; it must be positive")
+        for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value > 0):
+                raise UsageError(f"machine: {name} = {value} {unit}; it must be positive")
+
+    @property
+    def travel(self) -> float:
+        """Largest |r| that a controller may ask for [m]: that of the stacks, half of 45 um for linear actuators."""
+        return self.actuator.travel if isinstance(self.actuator, PiezoStacks) else 22.5e-6
+
+    def beyond_closed_form(self) -> list[str]:
+        """Name the parts whose motion has no closed form, so that it must be stepped."""
+        parts = {
+            "piezo stacks": isinstance(self.actuator, PiezoStacks),
+            "flexible mode": self.flexible_mode is not None,
+            "stiffening": self.stiffening is not None,
+            "non-synchronous motion": self.non_synchronous is not None,
+            "process noise": self.process_noise is not None,
+        }
+        return [name for name, there in parts.items() if there]
 
     @classmethod
     def from_parameters(
         cls,
         key_parameters: Mapping[str, Any],
-        actuators: Mapping[str, float],
+        actuators: Mapping[str, float] | PiezoStacks,
         unbalance: Unbalance | None = None,
         sensors: SensorChain | None = None,
         clearance: float = 25e-6,
+        **parts: Any,
     ) -> Machine:
         """Build a machine from parameters by name, as `gbid.LPVModel` and `gbid.FitResult` have them.
 
@@ -190,8 +243,9 @@ class Machine:
         key_parameters : dict of str to float
             ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
         actuators : dict of str to float
-            ``p1_x``, ``p2_x``, ``kappa_x`` and those of y [rad/s, rad/s, m/m]; others are left aside.
-        unbalance, sensors, clearance
+            ``p1_x``, ``p2_x``, ``kappa_x`` and those of y [rad/s, rad/s, m/m]; others are left aside. Or the
+            four stacks as they are.
+        unbalance, sensors, clearance, **parts
             As for `Machine`; the usual ones when not given.
 
         Returns
@@ -203,15 +257,13 @@ class Machine:
         UsageError
             When a parameter is missing, or a part of the machine refuses its value.
         """
-        bearing = _by_name("rotor bearing", key_parameters, _BEARING)
-        piezo = _by_name("actuator", actuators, _ACTUATORS)
-        K, D, B = (np.reshape([bearing[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
         return cls(
-            RotorBearingTruth(K, D, B, np.array([bearing["tau_x"], bearing["tau_y"]])),
-            ActuatorTruth(*(np.array([piezo[f"{name}_x"], piezo[f"{name}_y"]]) for name in _ACTUATOR)),
+            RotorBearingTruth.from_parameters(key_parameters),
+            actuators if isinstance(actuators, PiezoStacks) else _linear_actuator(actuators),
             Unbalance() if unbalance is None else unbalance,
             SensorChain() if sensors is None else sensors,
             clearance,
+            **parts,
         )
 
 
@@ -219,6 +271,11 @@ _PAIRS = ("xx", "xy", "yx", "yy")
 _BEARING = (*(f"{letter}_{pair}" for letter in "kdb" for pair in _PAIRS), "tau_x", "tau_y")
 _ACTUATOR = ("p1", "p2", "kappa")
 _ACTUATORS = tuple(f"{name}_{axis}" for name in _ACTUATOR for axis in "xy")
+
+
+def _linear_actuator(actuators: Mapping[str, float]) -> ActuatorTruth:
+    piezo = _by_name("actuator", actuators, _ACTUATORS)
+    return ActuatorTruth(*(np.array([piezo[f"{name}_x"], piezo[f"{name}_y"]]) for name in _ACTUATOR))
 
 
 def _by_name(owner: str, given: Mapping[str, Any], names: tuple[str, ...]) -> dict[str, float]:

@@ -48,6 +48,10 @@ class SensorChain:
         What the gauges show of equal piezos [m].
     encoder_counts : int or None
         Counts per turn; the angle is rounded down to a count. None is an ideal encoder.
+    resolution_p, resolution_u : float
+        Steps of the converters behind probes and gauges [m]; 0 for none.
+    noise_f : float
+        Standard deviation of the white noise of the measured impact force [N].
 
     Raises
     ------
@@ -62,12 +66,17 @@ class SensorChain:
     offset_p: tuple[float, float] = (2.0e-6, -3.0e-6)
     offset_u: tuple[float, float] = (0.5e-6, -0.3e-6)
     encoder_counts: int | None = 4096
+    resolution_p: float = 0.0
+    resolution_u: float = 0.0
+    noise_f: float = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("noise_p", "noise_u"):
+        for name in ("noise_p", "noise_u", "noise_f", "resolution_p", "resolution_u"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
-                raise UsageError(f"sensors: {name} = {value} m; give a standard deviation of at least zero")
+                what = "a standard deviation" if name.startswith("noise") else "a step"
+                unit = "N" if name == "noise_f" else "m"
+                raise UsageError(f"sensors: {name} = {value} {unit}; give {what} of at least zero")
         for name in ("runout_amplitude", "runout_phase"):
             array = np.array(getattr(self, name), dtype=float)
             if array.ndim != 2 or array.shape[0] != 2 or not np.isfinite(array).all():
@@ -86,6 +95,11 @@ class SensorChain:
             object.__setattr__(self, name, value)
         if self.encoder_counts is not None and self.encoder_counts < 2:
             raise UsageError(f"sensors: encoder_counts = {self.encoder_counts}; give at least 2, or None")
+
+
+def quantised(values: FloatArray, resolution: float) -> FloatArray:
+    """Round to the steps of a converter; 0 leaves the values as they are."""
+    return np.rint(values / resolution) * resolution if resolution > 0 else values
 
 
 def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:

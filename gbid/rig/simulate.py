@@ -2,19 +2,31 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from gbid.errors import DataError, UsageError
 from gbid.recording import FloatArray, Recording
-from gbid.rig.excitation import Experiment, whole_samples
-from gbid.rig.machine import Machine
+from gbid.rig.controller import SampledController
+from gbid.rig.excitation import Prbs, Stationary, whole_samples
+from gbid.rig.faults import Faults, with_faults
+from gbid.rig.forces import Forces, draw_noise, draw_whirl
+from gbid.rig.hammer import Hammer
+from gbid.rig.machine import ActuatorTruth, Machine
+from gbid.rig.provenance import provenance_of, spans
 from gbid.rig.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
-from gbid.rig.sensors import TURN, encoder_angle, runout
+from gbid.rig.run_up import RunUp, Turning
+from gbid.rig.scatter import Scatter, scatter_random, scattered
+from gbid.rig.sensors import TURN, encoder_angle, quantised, runout
+from gbid.rig.staircase import StackStaircase, Staircase
+from gbid.rig.stepping import RigEngine, SteppedMotion, stepped_motion
+
+Experiment = Stationary | Prbs | Staircase | StackStaircase | Hammer | RunUp
+Simulation = Literal["auto", "exact", "stepping"]
+WhenTouching = Literal["refuse", "flag"]
 
 
 def record(
@@ -27,20 +39,29 @@ def record(
     sample_time: float = 2e-4,
     oversampling: int = MIN_OVERSAMPLING,
     settle_s: float = 0.5,
+    controller: SampledController | None = None,
+    scatter: Scatter | None = None,
+    faults: Faults | None = None,
+    touch_down: WhenTouching = "refuse",
+    stacks: bool = False,
+    simulation: Simulation = "auto",
+    engine: RigEngine = "auto",
 ) -> Recording:
-    """Make one recording (paper, Secs. 2, 3.4 and 3.5).
+    """Make one recording (paper, Secs. 2, 3.1, 3.4, 3.5 and 5.1).
 
     The experiment runs for `settle_s` before the logger starts, so the recording begins in motion. The shaft
-    turns at constant speed from an angle that differs from recording to recording.
+    turns from an angle that differs from recording to recording. A machine whose parts are all linear, in open
+    loop, is simulated in closed form (`gbid.rig.driven_motion`), any other step by step
+    (`gbid.rig.stepped_motion`).
 
     Parameters
     ----------
     machine : Machine
         The rig, with the parameters that hold at the operating point.
-    experiment : Stationary or Prbs
-        What the references do, and for how long.
+    experiment : Stationary, Prbs, Staircase, StackStaircase, Hammer or RunUp
+        What the references do, what hits the rotor, and for how long.
     conditions : dict of str to float
-        The operating point; ``speed_rpm`` is needed and turns the shaft, all are stored.
+        The operating point; ``speed_rpm`` is needed and turns the shaft (except in a run-up), all are stored.
     seed : int
         At least zero. Same seed, same name: the same recording, bit for bit.
     name : str
@@ -49,55 +70,206 @@ def record(
     sample_time : float
         Time between samples [s].
     oversampling : int
-        Points per sample at which the motion is looked at, at least 20 (see `gbid.rig.response`).
+        Points per sample, at least 20. In closed form they are where the motion is looked at, else the steps.
     settle_s : float
         Time of the experiment before the first sample [s], a whole number of samples or zero.
+    controller : SampledController, optional
+        Closes the loop from the measured p to r, from the beginning of the settling time on.
+    scatter : Scatter, optional
+        Draws the parameters of rotor and bearing anew for this recording; they are in the provenance.
+    faults : Faults, optional
+        Faults of the measuring chain.
+    touch_down : {"refuse", "flag"}
+        What to do when the disc uses up the clearance: refuse the recording, or let the bearing hold the disc
+        (`Machine.contact`) and say when in the provenance (`gbid.rig.touch_downs`).
+    stacks : bool
+        Whether the stacks' positions y_p, references r_p and voltages v are recorded as well; always so in a
+        `StackStaircase`.
+    simulation : {"auto", "exact", "stepping"}
+        Stepping may be asked for where the closed form would do.
+    engine : {"auto", "compiled", "python"}
+        What runs the steps.
 
     Returns
     -------
     Recording
-        Signals r (as commanded), u (piezo position, offset and noise), p (disc position, run-out, offset and
-        noise) [m], phi (encoder, within [0, 2 pi)) [rad].
+        Signals r (as applied: excitation and controller, held to the travel), u (piezo position, offset and
+        noise), p (disc position, run-out, offset and noise) [m], phi (encoder, within [0, 2 pi)) [rad]; in a
+        `Hammer` f (measured force, x and y) [N]; with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
+        Provenance: ``rig`` (all parameters), ``truth`` (the fourteen key parameters as drawn), ``simulation``,
+        ``touch_down`` and ``saturated`` (spans of time, where there are any).
 
     Raises
     ------
     UsageError
         For a wrong argument, or a rotor that is unstable.
     DataError
-        When the disc leaves the clearance of the bearing.
+        When the disc leaves the clearance of the bearing and is not to.
     """
-    speed = _speed(conditions)
     if seed < 0 or not name:
         raise UsageError(f"seed = {seed}, name = {name!r}; give a seed of at least zero and a name")
+    if touch_down not in ("refuse", "flag"):
+        raise UsageError(f"touch_down = {touch_down!r}; choose 'refuse' or 'flag'")
+    turning = experiment.turning() if isinstance(experiment, RunUp) else Turning(_speed(conditions))
+    machine, thrown = _this_time(machine, scatter, seed, name, conditions)
+    if faults is not None and faults.rub_clearance is not None:
+        machine, touch_down = replace(machine, clearance=faults.rub_clearance), "flag"
     machine.rotor_bearing.check_stable()
+    if controller is not None and abs(controller.sample_time - sample_time) > 1e-9 * sample_time:
+        raise UsageError(f"controller: sample_time = {controller.sample_time} s, the rig samples at {sample_time} s")
     n_samples = whole_samples("duration_s", experiment.duration_s, sample_time)
     n_settle = whole_samples("settle_s", settle_s, sample_time) if settle_s else 0
+    n = n_settle + n_samples
     root = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
-    levels, start, noise_u, noise_p = (np.random.default_rng(child) for child in root.spawn(4))
+    levels, start, noise_u, noise_p, process, whirl, noise_f, broken = (
+        np.random.default_rng(child) for child in root.spawn(8)
+    )
+    first = start.uniform(0.0, TURN)  # angle when the simulation begins
+    turning = replace(turning, start=first + turning.speed * n_settle * sample_time)
+    run = _Run(
+        machine,
+        experiment.reference(n, sample_time, levels, n_settle),
+        Forces(
+            machine,
+            turning,
+            sample_time,
+            n_settle,
+            draw_noise(machine, n, sample_time, process),
+            draw_whirl(machine, n, sample_time, whirl),
+            experiment if isinstance(experiment, Hammer) else None,
+        ),
+        n_settle,
+        oversampling,
+    )
+    time: FloatArray = np.asarray((np.arange(n) - n_settle) * sample_time, np.float64)
+    angle = turning.angle(time)
+    sensors = machine.sensors
+    shown = encoder_angle(sensors, angle)
+    logged = slice(n_settle, None)
+    sensor = runout(sensors, angle) + sensors.offset_p
+    sensor[logged] += sensors.noise_p * noise_p.standard_normal((n_samples, 2))
+    # The probes are noisy before the logger starts as well, which only a controller sees.
+    sensor[:n_settle] += sensors.noise_p * noise_p.standard_normal((n_settle, 2))
 
-    reference = experiment.reference(n_settle + n_samples, sample_time, levels)
-    driven = driven_motion(machine.rotor_bearing, machine.actuator, reference, sample_time, oversampling)
-    fine_angle = start.uniform(0.0, TURN) + speed * driven.time
-    disc = driven.p + unbalance_orbit(machine.rotor_bearing, machine.unbalance, speed, fine_angle)
-    _check_clearance(name, driven.time - settle_s, disc, machine.clearance)
+    reasons = _reasons_to_step(machine, experiment, controller)
+    if simulation == "exact" and reasons:
+        raise UsageError(f"simulation = 'exact': no closed form with {', '.join(reasons)}")
+    stepping = bool(reasons) or simulation == "stepping"
+    motion = None if stepping else _in_closed_form(run, sensor)
+    touches = motion is not None and (motion.radius >= machine.clearance).any()
+    if motion is None or (touches and touch_down == "flag"):
+        motion = stepped_motion(
+            machine,
+            run.reference,
+            run.forces,
+            sensor,
+            sample_time,
+            controller=controller,
+            taken=None if controller is None else controller.subtracted(shown),
+            stack_run=experiment if isinstance(experiment, StackStaircase) else None,
+            n_settle=n_settle,
+            oversampling=oversampling,
+            wall=touch_down == "flag",
+            engine=engine,
+        )
+    if touch_down == "refuse":
+        _check_clearance(name, time, motion.radius, machine.clearance)
 
-    at = slice(n_settle * oversampling, None, oversampling)
-    angle, sensors = fine_angle[at], machine.sensors
-    u = driven.u[at] + sensors.offset_u + sensors.noise_u * noise_u.standard_normal((n_samples, 2))
-    p = disc[at] + runout(sensors, angle) + sensors.offset_p
-    p = p + sensors.noise_p * noise_p.standard_normal((n_samples, 2))
-    return Recording(
-        {"r": reference[n_settle:], "u": u, "p": p, "phi": encoder_angle(sensors, angle)[:, None]},
+    signals = {
+        "r": motion.r[logged],
+        "u": quantised(
+            motion.u[logged] + sensors.offset_u + sensors.noise_u * noise_u.standard_normal((n_samples, 2)),
+            sensors.resolution_u,
+        ),
+        "p": motion.seen[logged],
+        "phi": shown[logged, None],
+    }
+    if isinstance(experiment, Hammer):
+        force = experiment.force(time[logged])
+        signals["f"] = force + sensors.noise_f * noise_f.standard_normal((n_samples, 2))
+    if stacks or isinstance(experiment, StackStaircase):
+        if isinstance(machine.actuator, ActuatorTruth):
+            raise UsageError("stacks: this machine has linear actuators; give it PiezoStacks")
+        signals |= {"y_p": motion.stacks[logged], "v": motion.volts[logged]}
+        signals["r_p"] = _stack_references(experiment, motion.told[logged])
+    touched = spans(time[logged], motion.radius[logged] >= machine.clearance, sample_time)
+    ended = {str(i + 1): spans(time[logged], motion.ended[logged, i] > 0, sample_time) for i in range(4)}
+    recording = Recording(
+        signals,
         sample_time,
         conditions=conditions,
         name=name,
-        provenance={
-            "source": "gbid virtual rig",
-            "seed": str(seed),
-            "experiment": _as_json({type(experiment).__name__: asdict(experiment)}),
-            "rig": _as_json({"oversampling": oversampling, "settle_s": settle_s, **asdict(machine)}),
-        },
+        provenance=provenance_of(
+            machine,
+            experiment,
+            seed=seed,
+            how=motion.how,
+            oversampling=oversampling,
+            settle_s=settle_s,
+            controller=controller,
+            scatter=scatter,
+            thrown=thrown,
+            touched=touched,
+            saturated={stack: times for stack, times in ended.items() if times},
+        ),
     )
+    return recording if faults is None else with_faults(recording, faults, broken)
+
+
+@dataclass(frozen=True, eq=False)
+class _Run:
+    """What is simulated: the machine, its references from the beginning of the settling time, and the forces."""
+
+    machine: Machine
+    reference: FloatArray
+    forces: Forces
+    n_settle: int
+    oversampling: int
+
+
+def _this_time(
+    machine: Machine, scatter: Scatter | None, seed: int, name: str, conditions: Mapping[str, float]
+) -> tuple[Machine, int]:
+    """Return the machine as it is in this recording, and how many draws were thrown away."""
+    if scatter is None:
+        return machine, 0
+    random = scatter_random(seed, name, conditions)
+    rotor_bearing, thrown = scattered(machine.rotor_bearing, scatter, random)
+    return replace(machine, rotor_bearing=rotor_bearing), thrown
+
+
+def _reasons_to_step(machine: Machine, experiment: Experiment, controller: SampledController | None) -> list[str]:
+    """Name what the closed form does not cover."""
+    reasons = machine.beyond_closed_form()
+    if isinstance(experiment, Hammer | RunUp | StackStaircase):
+        reasons.append(type(experiment).__name__)
+    if controller is not None:
+        reasons.append("a controller")
+    return reasons
+
+
+def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
+    """Exact motion of a linear machine in open loop at constant speed."""
+    machine, turning, over = run.machine, run.forces.turning, run.oversampling
+    assert isinstance(machine.actuator, ActuatorTruth)
+    sample_time = run.forces.sample_time
+    driven = driven_motion(machine.rotor_bearing, machine.actuator, run.reference, sample_time, over)
+    angle = turning.angle(driven.time - run.n_settle * sample_time)
+    disc = driven.p + unbalance_orbit(machine.rotor_bearing, machine.unbalance, turning.speed, angle)
+    radius = np.hypot(disc[:, 0], disc[:, 1]).reshape(-1, over).max(axis=1)
+    p, none = disc[::over], np.zeros((len(run.reference), 4))
+    seen = quantised(p + sensor, machine.sensors.resolution_p)
+    return SteppedMotion(
+        run.reference, driven.u[::over], p, seen, none, none, none, none, radius, "closed form, exact delays"
+    )
+
+
+def _stack_references(experiment: Experiment, told: FloatArray) -> FloatArray:
+    """Give the references of the stacks [m]; none for a stack that runs open loop."""
+    if isinstance(experiment, StackStaircase) and not experiment.controlled:
+        told = told.copy()
+        told[:, experiment.stack - 1] = 0.0
+    return told
 
 
 def _speed(conditions: Mapping[str, float]) -> float:
@@ -108,16 +280,12 @@ def _speed(conditions: Mapping[str, float]) -> float:
     return float(speed_rpm) * TURN / 60.0
 
 
-def _check_clearance(name: str, time: FloatArray, disc: FloatArray, clearance: float) -> None:
+def _check_clearance(name: str, time: FloatArray, radius: FloatArray, clearance: float) -> None:
     """Refuse a recording in which the rotor would touch the bearing."""
-    radius = np.hypot(disc[:, 0], disc[:, 1])
     worst = int(radius.argmax())
-    if radius[worst] >= clearance:
+    if not radius[worst] < clearance:
         raise DataError(
             f"recording {name!r}: the disc moves {radius[worst] * 1e6:.1f} um at {time[worst]:.4f} s and "
-            f"uses up the clearance of {clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold"
+            f"uses up the clearance of {clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold, or "
+            "have it flagged (touch_down: flag)"
         )
-
-
-def _as_json(value: dict[str, Any]) -> str:
-    return json.dumps(value, default=lambda array: np.asarray(array).tolist(), sort_keys=True)

@@ -1,0 +1,104 @@
+"""What the rig section means: its model holds at the operating points, and the rig takes every value."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from gbid.errors import GbidError, UsageError
+from gbid.experiment.load import Experiment
+from gbid.experiment.problems import Location, nearest
+from gbid.experiment.rig_parts import faults_of, machine_at, rig_experiment
+from gbid.experiment.schema_rig import RigSection
+from gbid.experiment.structures import rig_model
+from gbid.rig.excitation import whole_samples
+
+Found = Iterator[tuple[Location, str]]
+Check = Callable[[Experiment], Found]
+
+
+def rig_runs(experiment: Experiment) -> Found:
+    """Rig: its model loads and holds at each operating point; times are whole samples."""
+    rig = experiment.spec.rig
+    if rig is None:
+        return
+    try:
+        model = rig_model(experiment)
+    except GbidError as error:
+        yield ("rig", "model"), str(error)
+        return
+    if not model.actuators and rig.actuators.kind == "linear":
+        yield ("rig", "model"), f"model {model.name!r} has no actuators; the rig needs them: add them to its file"
+        return
+    inside = True
+    for i, point in enumerate(rig.operating_points):
+        for key in ("pressure_bar", "speed_rpm"):
+            value, (low, high) = getattr(point, key), getattr(model.domain, key)
+            if not low <= value <= high:
+                inside = False
+                yield (
+                    ("rig", "operating_points", i, key),
+                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
+                )
+    for location, seconds in _times(rig):
+        try:
+            whole_samples(str(location[-1]), seconds, rig.sample_time_s)
+        except UsageError as error:
+            yield location, str(error)
+    told: set[str] = set()
+    for planned in experiment.recordings.values():
+        if inside and planned.imported is None:
+            try:
+                machine_at(experiment, planned, model).rotor_bearing.check_stable()
+                rig_experiment(experiment, planned)
+            except UsageError as error:
+                if str(error) not in told:
+                    yield ("rig",), str(error)
+                told.add(str(error))
+
+
+def faults_name_recordings(experiment: Experiment) -> Found:
+    """Rig: faults are for recordings that are made, and say what is wrong."""
+    rig = experiment.spec.rig
+    for i, entry in enumerate(rig.faults if rig else ()):
+        here: Location = ("rig", "faults", i)
+        for pattern in entry.recordings:
+            if not any(q.imported is None for q in experiment.matching((pattern,))):
+                known = nearest(pattern, experiment.recordings)
+                yield (*here, "recordings"), f"no recording of the rig matches {pattern!r}; {known}"
+        try:
+            faults_of(entry)
+        except UsageError as error:
+            yield here, str(error)
+
+
+def stacks_are_there(experiment: Experiment) -> Found:
+    """Rig: what is asked of single stacks needs stacks."""
+    rig = experiment.spec.rig
+    if rig is None or rig.actuators.kind == "stacks":
+        return
+    if rig.stack_staircase is not None:
+        yield ("rig", "stack_staircase"), "needs single stacks; write actuators: {kind: stacks}"
+    if rig.actuators.record_stacks:
+        yield ("rig", "actuators", "record_stacks"), "needs single stacks; write kind: stacks"
+
+
+def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
+    """List the times that must be whole numbers of samples."""
+    yield ("rig", "duration_s"), rig.duration_s
+    if rig.settle_s:
+        yield ("rig", "settle_s"), rig.settle_s
+    yield ("rig", "prbs", "hold_s"), rig.prbs.hold_s
+    for part, key in (
+        ("stationary", "duration_s"),
+        ("staircase", "hold_s"),
+        ("stack_staircase", "hold_s"),
+        ("hammer", "duration_s"),
+        ("run_up", "duration_s"),
+    ):
+        seconds = getattr(getattr(rig, part), key, None)
+        if seconds is not None:
+            yield ("rig", part, key), seconds
+
+
+RIG_CHECKS: tuple[Check, ...] = (rig_runs, stacks_are_there, faults_name_recordings)
+"""Checks of the rig section."""

@@ -1,0 +1,78 @@
+"""What a recording of the rig says about how it was made, and how to read it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+
+from gbid.recording import FloatArray, Recording
+from gbid.rig.controller import SampledController
+from gbid.rig.machine import Machine
+from gbid.rig.scatter import Scatter
+
+Span = tuple[float, float]
+
+
+def provenance_of(
+    machine: Machine,
+    experiment: Any,
+    *,
+    seed: int,
+    how: str,
+    oversampling: int,
+    settle_s: float,
+    controller: SampledController | None,
+    scatter: Scatter | None,
+    thrown: int,
+    touched: Sequence[Span],
+    saturated: Mapping[str, Sequence[Span]],
+) -> dict[str, str]:
+    """Gather the texts that go with a recording; values as JSON."""
+    told = {
+        "source": "gbid virtual rig",
+        "seed": str(seed),
+        "simulation": how,
+        "experiment": as_json({type(experiment).__name__: asdict(experiment)}),
+        "rig": as_json({"oversampling": oversampling, "settle_s": settle_s, **asdict(machine)}),
+        "truth": as_json(machine.rotor_bearing.key_parameters()),
+    }
+    if controller is not None:
+        told["controller"] = as_json(asdict(controller))
+    if scatter is not None:
+        told["scatter"] = as_json({**asdict(scatter), "draws_thrown_away": thrown})
+    if touched:
+        told["touch_down"] = as_json(touched)
+    if saturated:
+        told["saturated"] = as_json(saturated)
+    return told
+
+
+def spans(time: FloatArray, inside: np.ndarray, sample_time: float) -> list[Span]:
+    """Join samples in a row to spans of time (first, end) [s]."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
+    return [(float(time[a]), float(time[b - 1] + sample_time)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def touch_downs(recording: Recording) -> list[Span]:
+    """Spans of time (first, end) [s] in which the disc touched the bearing; empty when it never did."""
+    return [(float(a), float(b)) for a, b in json.loads(recording.provenance.get("touch_down", "[]"))]
+
+
+def saturations(recording: Recording) -> dict[str, list[Span]]:
+    """Spans of time (first, end) [s] in which a stack was at an end, by its number; empty when none was."""
+    found = json.loads(recording.provenance.get("saturated", "{}"))
+    return {stack: [(float(a), float(b)) for a, b in times] for stack, times in found.items()}
+
+
+def drawn_truth(recording: Recording) -> dict[str, float]:
+    """Fourteen key parameters that a recording of the rig was made with, by name; empty when it tells none."""
+    return {name: float(v) for name, v in json.loads(recording.provenance.get("truth", "{}")).items()}
+
+
+def as_json(value: Any) -> str:
+    """Write values and arrays as one line of JSON, keys sorted."""
+    return json.dumps(value, default=lambda array: np.asarray(array).tolist(), sort_keys=True)

@@ -1,0 +1,316 @@
+"""Scatter between recordings, faults put in on purpose, quantisation, and all of the rig from the YAML."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from experiment_files import gbid, write_quick
+from rig_point import machine, rotor_bearing
+
+from gbid.errors import UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.problems import ExperimentError
+from gbid.experiment.stages import Job, make_rig_recordings
+from gbid.experiment.structures import make_structure, true_values
+from gbid.recording import find_problems, load_recording
+from gbid.rig import (
+    Faults,
+    PiezoStacks,
+    Prbs,
+    RotorBearingTruth,
+    Scatter,
+    SensorChain,
+    Stationary,
+    drawn_truth,
+    record,
+    saturations,
+    scatter_random,
+    scattered,
+    touch_downs,
+)
+
+TS = 2e-4
+FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
+POINTS = [(p, n) for p in (3.0, 4.0, 5.0, 6.0, 7.0) for n in (0.0, 4000.0, 6000.0)]
+
+
+def modes(truth):
+    values = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
+    upper = sorted(values[values.imag > 0], key=abs)
+    return np.abs(upper) / 2 / np.pi, np.array([-s.real / abs(s) for s in upper])
+
+
+# ---- scatter ----
+
+
+def test_scatter_has_the_size_that_was_asked_for():
+    """Where no draw is thrown away: much damping, modes far apart, long delays."""
+    truth = RotorBearingTruth(
+        np.array([[-5e5, 3e3], [-2e3, -8e5]]),
+        np.array([[-250.0, 30.0], [-20.0, -280.0]]),
+        np.array([[1.5e5, 3e3], [2e3, 2.5e5]]),
+        np.array([0.8e-3, 0.6e-3]),
+    )
+    scatter, random = Scatter(share=1.0), np.random.default_rng(0)
+    draws = [scattered(truth, scatter, random) for _ in range(2000)]
+    assert sum(thrown for _, thrown in draws) == 0
+    frequency, damping = (np.array(v) for v in zip(*(modes(d) for d, _ in draws), strict=True))
+    gain = np.array([-np.linalg.solve(d.stiffness, d.input_gain).ravel() for d, _ in draws])
+    delay = np.array([d.delay for d, _ in draws])
+    for values, spread, mean in (
+        (frequency, scatter.frequency_hz, modes(truth)[0]),
+        (damping, scatter.damping, modes(truth)[1]),
+        (delay, scatter.delay, truth.delay),
+        (gain, scatter.static_gain, -np.linalg.solve(truth.stiffness, truth.input_gain).ravel()),
+    ):
+        np.testing.assert_allclose(values.std(axis=0), spread, rtol=0.07)
+        np.testing.assert_allclose((values.mean(axis=0) - mean) / spread, 0, atol=4.5 / np.sqrt(2000))
+    moved = np.array([list(d.key_parameters().values()) for d, _ in draws]).std(axis=0)
+    assert (moved > 0).all()  # all fourteen
+
+
+def test_without_share_nothing_moves():
+    drawn, _ = scattered(rotor_bearing(), Scatter(share=0.0), np.random.default_rng(0))
+    for name in ("stiffness", "damping", "input_gain", "delay"):
+        np.testing.assert_allclose(getattr(drawn, name), getattr(rotor_bearing(), name), rtol=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.5, 1.0])
+def test_every_operating_point_stays_stable(share):
+    random = np.random.default_rng(1)
+    for pressure, speed in POINTS:
+        truth = rotor_bearing(pressure, speed)
+        for _ in range(40):
+            drawn, _ = scattered(truth, Scatter(share), random)
+            drawn.check_stable()
+            assert (modes(drawn)[1] >= np.minimum(0.01, modes(truth)[1] / 2).min() - 1e-12).all()
+            assert (drawn.delay > 0).all()
+
+
+def test_draw_belongs_to_seed_name_and_operating_point_and_is_told():
+    def make(seed=1, name="a", point=None):
+        return record(machine(), Prbs(0.1), conditions=point or FIG7, seed=seed, name=name, scatter=Scatter())
+
+    first = drawn_truth(make())
+    assert first == drawn_truth(make())
+    expected, _ = scattered(rotor_bearing(), Scatter(), scatter_random(1, "a", FIG7))
+    assert first == expected.key_parameters()
+    others = [make(seed=2), make(name="b"), make(point={**FIG7, "pressure_bar": 5.1})]
+    assert len({json.dumps(first), *(json.dumps(drawn_truth(o)) for o in others)}) == 4
+    rig = json.loads(make().provenance["rig"])["rotor_bearing"]
+    assert rig["delay"] == [first["tau_x"], first["tau_y"]]
+    assert drawn_truth(record(machine(), Prbs(0.1), conditions=FIG7, seed=1, name="a")) == pytest.approx(
+        rotor_bearing().key_parameters()
+    )
+
+
+# ---- faults and converters ----
+
+
+def made(faults=None, rig=None, **options):
+    return record(rig or machine(), Prbs(1.0), conditions=FIG7, seed=1, name="a", faults=faults, **options)
+
+
+def test_faults_do_what_they_say_and_leave_the_rest():
+    right = made()
+    swapped = made(Faults(swapped=("p",)))
+    np.testing.assert_array_equal(swapped.signal("p"), right.signal("p")[:, ::-1])
+    np.testing.assert_array_equal(swapped.signal("u"), right.signal("u"))
+    assert swapped.provenance["faults"] == "x and y of p swapped"
+
+    dead = made(Faults(dead={"p.y": 1e-6}))
+    assert (dead.signal("p")[:, 1] == 1e-6).all()
+    np.testing.assert_array_equal(dead.signal("p")[:, 0], right.signal("p")[:, 0])
+    assert [(q.kind, q.channel) for q in find_problems(dead)] == [("constant", "y")]
+
+    ended = made(Faults(saturation={"p.x": 4e-6}))
+    assert np.abs(ended.signal("p")[:, 0]).max() == 4e-6
+
+    slow = made(Faults(sample_time_factor=2.0))
+    assert slow.sample_time == 2 * TS
+    assert slow.n_samples == right.n_samples
+
+    lost = made(Faults(missing_index=True))
+    shift = np.mod(lost.signal("phi") - right.signal("phi"), 2 * np.pi)
+    assert np.ptp(np.exp(1j * shift)) < 1e-9
+    assert 0 < shift[0] < 2 * np.pi
+
+    spiky = made(Faults(spikes_per_s=20, spike_size=20e-6))
+    off = np.abs(spiky.signal("p") - right.signal("p"))
+    assert set(np.round(np.unique(off) * 1e6, 6)) == {0.0, 20.0}
+    assert 5 <= (off > 0).sum() <= 40
+
+    assert "faults" not in made(Faults()).provenance
+
+
+def test_rub_is_kept_and_flagged():
+    rub = made(Faults(rub_clearance=8e-6), rig=machine(sensors=SensorChain(offset_p=(0, 0), noise_p=0)))
+    assert touch_downs(rub)
+
+
+def test_converters_step():
+    sensors = SensorChain(resolution_p=5e-9, resolution_u=7e-9)
+    for rig in (machine(sensors=sensors), replace(machine(sensors=sensors), actuator=PiezoStacks())):
+        rec = made(rig=rig)
+        for signal, step in (("p", 5e-9), ("u", 7e-9)):
+            counts = rec.signal(signal) / step
+            np.testing.assert_allclose(counts, np.rint(counts), atol=1e-6)
+    fine = made()
+    assert np.abs(made(rig=machine(sensors=sensors)).signal("p") - fine.signal("p")).max() <= 2.5e-9 * 1.001
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda: Faults(dead={"p": 0.0}), "dead = p: 0.0; write signal.channel"),
+        (lambda: Faults(sample_time_factor=0.0), "sample_time_factor must be positive"),
+        (lambda: Faults(rub_clearance=0.0), "rub_clearance = 0.0"),
+        (lambda: made(Faults(dead={"q.x": 0.0})), "has no channel q.x"),
+        (lambda: made(Faults(swapped=("phi",))), "no signal phi with two channels"),
+        (lambda: Scatter(share=-1.0), "share = -1.0"),
+        (lambda: Scatter(delay=(1.0,)), "give 2 finite numbers"),
+        (lambda: SensorChain(resolution_p=-1e-9), "resolution_p = -1e-09 m; give a step"),
+        (
+            lambda: scattered(replace(rotor_bearing(), damping=-4000 * np.eye(2)), Scatter(), np.random.default_rng(0)),
+            "does not oscillate",
+        ),
+    ],
+)
+def test_bad_input_is_one_clear_line(call, words):
+    with pytest.raises(UsageError, match=words) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+# ---- from the YAML ----
+
+WHOLE = """\
+format: 1
+name: whole
+rig:
+  seed: 3
+  operating_points:
+    - {pressure_bar: 5.0, speed_rpm: 4000, prbs_recordings: 1}
+    - {pressure_bar: 6.0, speed_rpm: 0}
+  duration_s: 0.5
+  settle_s: 0.1
+  touch_down: flag
+  prbs: {recordings: 2}
+  stationary: {recordings: 1}
+  staircase: {hold_s: 0.02, step_m: 2e-6}
+  stack_staircase: {stacks: [1, 4], hold_s: 0.02}
+  hammer: {axes: [y], times_s: [0.1, 0.3], peak_n: 9.0, duration_s: 0.5}
+  run_up: {to_rpm: 4000, duration_s: 0.5}
+  sensors: {resolution_p_m: 5e-9}
+  actuators: {kind: stacks, spread: 0.1, seed: 2, creep: 0.02}
+  flexible_mode: {frequency_hz: 450.0}
+  stiffening: {}
+  non_synchronous: {size_m: 0.2e-6}
+  process_noise: {density: 0.02}
+  scatter: {share: 1.0}
+  faults:
+    - {recordings: p6_n0_prbs2, swapped: [p]}
+fits:
+  bearing: {structure: rotor_bearing}
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("whole")
+    experiment = load_experiment(write_quick(folder, text=WHOLE))
+    outcomes = make_rig_recordings(Job(experiment))
+    assert {o.state for o in outcomes} == {"made"}
+    return experiment
+
+
+def test_yaml_makes_every_kind_of_recording(whole):
+    names = [f"p5_n4000_{w}" for w in ("still1", "prbs1")] + [f"p6_n0_{w}" for w in ("still1", "prbs1", "prbs2")]
+    rest = "stairs_x1 stairs_y1 stack1_open1 stack1_controlled1 stack4_open1 stack4_controlled1 hammer_y1 runup1"
+    names += [f"{point}_{w}" for point in ("p5_n4000", "p6_n0") for w in rest.split()]
+    assert set(whole.recordings) == set(names)
+    kinds = {q.name.split("_", 2)[2]: q.kind for q in whole.recordings.values()}
+    assert kinds["prbs2"] == "excited"
+    assert kinds["still1"] == "stationary"
+    assert {kinds[n] for n in ("stairs_x1", "stack4_open1")} == {"staircase"}
+    assert (kinds["hammer_y1"], kinds["runup1"]) == ("hammer", "run_up")
+    assert [q.name for q in whole.fit_recordings("bearing")] == ["p5_n4000_prbs1", "p6_n0_prbs1", "p6_n0_prbs2"]
+    for name, planned in whole.recordings.items():
+        rec = load_recording(whole.results / "recordings" / f"{name}.h5")
+        assert rec.provenance["simulation"] == "stepping, compiled"
+        assert {signal: rec.channels[signal] for signal in rec.signals} == dict(planned.signals)
+        rig = json.loads(rec.provenance["rig"])
+        assert rig["flexible_mode"]["frequency_hz"] == 450.0
+        assert rig["stiffening"]["deviation"] == 0.9e-6
+        assert rig["process_noise"]["density"] == 0.02
+        assert rig["actuator"]["stacks"][2]["creep"] == 0.02
+        assert rig["sensors"]["resolution_p"] == 5e-9
+    hit = load_recording(whole.results / "recordings" / "p6_n0_hammer_y1.h5")
+    assert hit.signal("f")[:, 1].max() == pytest.approx(9.0, abs=0.3)
+    swapped = load_recording(whole.results / "recordings" / "p6_n0_prbs2.h5")
+    assert swapped.provenance["faults"] == "x and y of p swapped"
+    assert saturations(load_recording(whole.results / "recordings" / "p6_n0_stack4_open1.h5"))
+
+
+def test_truth_that_fits_are_compared_with_is_the_one_drawn(whole):
+    structure = make_structure(whole, "bearing")
+    told = true_values(whole, ["p6_n0_prbs1"], structure)
+    rec = load_recording(whole.results / "recordings" / "p6_n0_prbs1.h5")
+    assert told == pytest.approx(drawn_truth(rec))
+    assert told != pytest.approx(rotor_bearing(6.0, 0.0).key_parameters(), rel=1e-4)
+    assert true_values(whole, ["p6_n0_prbs1", "p6_n0_prbs2"], structure) == {}  # each its own
+
+
+def test_a_change_of_any_part_makes_the_recording_anew(tmp_path, capsys):
+    path = write_quick(tmp_path)
+    assert gbid("rig", path) == 0
+    for old, new in (
+        ("seed: 3", "seed: 3\n  settle_s: 0.2"),
+        ("seed: 3", "seed: 3\n  scatter: {}"),
+        ("seed: 3", "seed: 3\n  actuators: {kind: stacks}"),
+        ("seed: 3", "seed: 3\n  faults: [{recordings: '*', swapped: [p]}]"),
+        ("seed: 3", "seed: 3\n  oversampling: 30"),
+    ):
+        write_quick(tmp_path, (old, new))
+        assert gbid("rig", path) == 2
+        assert "made with other settings" in capsys.readouterr().err
+    write_quick(tmp_path)
+    assert gbid("rig", path) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("seed: 3", "seed: 3\n  stiffening:", "rig.stiffening: is empty; write {} for the defaults"),
+        ("seed: 3", "seed: 3\n  hammer: {axes: [z]}", "rig.hammer.axes[0]: expected 'x' or 'y', found 'z'"),
+        ("seed: 3", "seed: 3\n  hammer: {times_s: [2.0]}", "rig: hammer: an impact at 2.0 s"),
+        (
+            "seed: 3",
+            "seed: 3\n  staircase: {hold_s: 1.05e-3}",
+            "rig.staircase.hold_s: hold_s = 0.00105 s is not",
+        ),
+        ("seed: 3", "seed: 3\n  stack_staircase: {stacks: [5]}", "rig.stack_staircase.stacks[0]: must be at most 4"),
+        ("seed: 3", "seed: 3\n  actuators: {kind: piezo}", "rig.actuators.kind: expected 'linear' or 'stacks'"),
+        ("seed: 3", "seed: 3\n  actuators: {spread: 0.4}", "rig.actuators.spread: must be below 0.3"),
+        ("seed: 3", "seed: 3\n  scatter: {shares: 1}", "did you mean 'share'"),
+        ("seed: 3", "seed: 3\n  faults: [{recordings: nosuch}]", "no recording of the rig matches 'nosuch'"),
+        ("seed: 3", "seed: 3\n  faults: [{recordings: '*', dead: {p: 0.0}}]", "write signal.channel"),
+        ("seed: 3", "seed: 3\n  touch_down: ignore", "rig.touch_down: expected 'refuse' or 'flag'"),
+        ("seed: 3", "seed: 3\n  oversampling: 10", "rig.oversampling: must be at least 20"),
+    ],
+)
+def test_yaml_problems_are_named(tmp_path, old, new, words):
+    with pytest.raises(ExperimentError) as caught:
+        load_experiment(write_quick(tmp_path, (old, new)))
+    assert words in str(caught.value)
+
+
+def test_stack_staircase_needs_stacks(tmp_path):
+    with pytest.raises(ExperimentError, match=r"stack_staircase: .*kind: stacks"):
+        load_experiment(write_quick(tmp_path, ("seed: 3", "seed: 3\n  stack_staircase: {}")))
+
+
+def test_stationary_runs_stay_as_they_are():
+    rec = record(machine(), Stationary(0.1), conditions=FIG7, seed=0, name="a")
+    assert rec.provenance["simulation"] == "closed form, exact delays"
