@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
+import typer
+
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath
+from gbid.cli.options import AsJson, Debug, ExperimentPath, Results
 
 
-def check(experiment: ExperimentPath, as_json: AsJson = False, debug: Debug = False) -> None:
-    """Check an experiment YAML and the data that it imports; all problems at once."""
+def check(
+    experiment: ExperimentPath,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Look at files, lengths and clocks only, not at what the signals do.")
+    ] = False,
+    results: Results = None,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Check an experiment YAML, the data that it imports and the room for its results; all problems at once."""
     with guarded(as_json, debug):
-        import typer
-
         from gbid.cli.printing import print_json
-        from gbid.errors import DataError, GbidError
+        from gbid.experiment.checks_data import find_data_problems, size
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import read_import
+        from gbid.experiment.stages import find_import_problems
 
-        loaded = load_experiment(experiment)
-        problems: list[str] = []
-        code = 0
-        for planned in loaded.recordings.values():
-            if planned.imported is not None:
-                try:
-                    read_import(loaded, planned)
-                except GbidError as error:
-                    problems.append(f"{loaded.file.position(planned.location)}: {error}")
-                    code = max(code, error.exit_code)
+        loaded = load_experiment(experiment, results)
+        problems, code, (needed, free) = find_data_problems(loaded)
+        told = "\n".join(problems)
+        for planned, text, own in find_import_problems(loaded) if not quick else ():
+            if text not in told:
+                problems.append(f"{loaded.file.position(planned.location)}: {text}")
+                code = max(code, own)
         for text in problems:
             typer.echo(f"gbid: error: {text}", err=True)
         spec = loaded.spec
@@ -36,10 +43,13 @@ def check(experiment: ExperimentPath, as_json: AsJson = False, debug: Debug = Fa
                     "recordings": list(loaded.recordings),
                     "fits": list(spec.fits),
                     "results": str(loaded.results),
+                    "bytes_needed": needed,
+                    "bytes_free": free,
                     "problems": problems,
                 }
             )
         elif not problems:
             typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {len(spec.fits)} fits")
+            typer.echo(f"results in {loaded.results}: about {size(needed)}, {size(free)} free", err=True)
         if problems:
-            raise typer.Exit(code or DataError.exit_code)
+            raise typer.Exit(code)

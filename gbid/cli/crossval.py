@@ -13,24 +13,32 @@ def crossval(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Validate the fitted models; exit code 5 when a minimum fit is missed."""
+    """Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed."""
     with guarded(as_json, debug):
-        from gbid.cli.documents import crossval_documents
+        from gbid.cli.documents import crossval_documents, summary_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_crossval, print_json
+        from gbid.cli.printing import print_crossval, print_json, print_table
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job, run_crossval
+        from gbid.experiment.stages import Job, choose_nominal, run_crossval
+        from gbid.report.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)
-        if not loaded.spec.crossval:
-            raise UsageError(f"{experiment}: no section 'crossval', so there is nothing to do")
+        if not loaded.spec.crossval and loaded.spec.nominal is None:
+            raise UsageError(f"{experiment}: no section 'crossval' or 'nominal', so there is nothing to do; add one")
         with reporting() as reporter:
-            outcomes, rows = run_crossval(Job(loaded, overwrite, reporter))
-        documents = crossval_documents(rows)
+            job = Job(loaded, overwrite, reporter)
+            made, rows = run_crossval(job)
+            chosen, nominal = choose_nominal(job)
+        outcomes = [*made, *chosen]
+        documents, summaries = crossval_documents(rows), summary_documents(made)
+        central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
         if as_json:
-            print_json({"crossval": documents, "outcomes": outcome_rows(outcomes)})
-        elif documents:
-            print_crossval(documents)
+            document = {"crossval": documents, "crossval_summary": summaries, "nominal": central}
+            print_json({**document, "outcomes": outcome_rows(outcomes)})
+        else:
+            print_crossval(documents, summaries)
+            if central:
+                print_table(nominal_table(central))
         finish(outcomes, rows)

@@ -6,12 +6,19 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from gbid.experiment.load import Experiment
-from gbid.experiment.stages import CrossvalRow, Job, Outcome, load_made_fit
+from gbid.experiment.stages import CrossvalRow, Job, Outcome, load_made_fit, load_made_static
+from gbid.experiment.stages.crossvalidating import SUMMARY
 from gbid.experiment.structures import make_structure, true_model, true_values
+from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
 from gbid.report.rows import fit_document, prefilter_rows
+from gbid.report.static_tables import static_document
+from gbid.report.validation_tables import summary_document
+from gbid.validate import load_validation_summary
 
 
 def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -23,7 +30,7 @@ def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> 
             documents.append(
                 {
                     "name": recording.name,
-                    "kind": "excited" if experiment.recordings[recording.name].excited else "stationary",
+                    "kind": experiment.recordings[recording.name].kind,
                     "samples": recording.n_samples,
                     "sample_time_s": recording.sample_time,
                     "duration_s": recording.duration,
@@ -54,6 +61,65 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]
             place = {"fit": name, "model": model, "state": outcome.state, "path": str(outcome.path)}
             documents.append({**place, **document})
     return documents
+
+
+def campaign_document(
+    experiment: Experiment, outcomes: Sequence[Outcome], table: FitTable | None = None
+) -> dict[str, Any]:
+    """Sum up a campaign: the stages by state, the fits by name, and what failed."""
+    stages: dict[str, dict[str, int]] = {}
+    for outcome in outcomes:
+        if outcome.stage != "table":
+            counts = stages.setdefault(outcome.stage, {"made": 0, "kept": 0, "failed": 0, "not_converged": 0})
+            counts[outcome.state] += 1
+            counts["not_converged"] += outcome.state != "failed" and not outcome.converged
+    return {
+        "experiment": experiment.spec.name,
+        "results": str(experiment.results),
+        "stages": stages,
+        "fits": [] if table is None else [_fit_of_campaign(table, name) for name in experiment.spec.fits],
+        "table": [str(outcome.path) for outcome in outcomes if outcome.stage == "table"],
+    }
+
+
+def _fit_of_campaign(table: FitTable, name: str) -> dict[str, Any]:
+    """How the fits of one name came out, and the worst of them."""
+    rows = table.select(fit=name)
+    there = np.isfinite(rows.fit_percent).any(axis=1) if rows.output_names else np.zeros(len(rows), dtype=bool)
+    smallest = rows.fit_percent[there].min(axis=1)
+    worst = int(np.argmin(smallest)) if smallest.size else None
+    return {
+        "fit": name,
+        "fits": len(rows),
+        "converged": int(rows.success.sum()),
+        "not_converged": int(there.sum() - rows.success.sum()),
+        "missing": int((~there).sum()),
+        "median_fit_percent": {
+            output: float(np.median(rows.fit_percent[there, j])) for j, output in enumerate(rows.output_names)
+        },
+        "worst": None if worst is None else str(rows.model[there][worst]),
+        "worst_fit_percent": None if worst is None else float(smallest[worst]),
+    }
+
+
+def summary_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Summaries of the cross-validations, histograms included."""
+    documents = []
+    for outcome in outcomes:
+        if outcome.stage == "crossval" and outcome.path.suffix == ".h5" and outcome.state != "failed":
+            summary = load_validation_summary(outcome.path)
+            fit = outcome.path.stem.removesuffix(SUMMARY)
+            documents.append(summary_document(fit, summary, outcome.path))
+    return documents
+
+
+def static_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Describe static characterisations; those that failed are left out."""
+    there = {o.item: o for o in outcomes if o.stage == "static" and o.state != "failed" and o.path.suffix == ".h5"}
+    return [
+        {**static_document(name, load_made_static(job, name)), "state": o.state, "path": str(o.path)}
+        for name, o in there.items()
+    ]
 
 
 def crossval_documents(rows: Sequence[CrossvalRow]) -> list[dict[str, Any]]:

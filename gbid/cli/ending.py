@@ -7,8 +7,10 @@ from typing import Any
 
 import typer
 
-from gbid.errors import DataError, NotConvergedError, ThresholdError
+from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.experiment.stages import CrossvalRow, Outcome
+
+_MISSED = 20  # pairs below the minimum that are named
 
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -27,20 +29,29 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def finish(outcomes: Sequence[Outcome], rows: Sequence[CrossvalRow] = ()) -> None:
-    """List what failed on standard error and end with the exit code: 3, 4 or 5, the lowest that holds, or 0."""
+    """List what failed on standard error and end with the exit code: the lowest that holds, or 0."""
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
     missed = [row for row in rows if row.missed]
     for o in failed:
-        typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text}", err=True)
+        word = "defect" if o.cause == "defect" else "error"
+        again = " (failed before; --retry tries again)" if o.before else ""
+        typer.echo(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}", err=True)
     for o in stuck:
         typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})", err=True)
-    for row in missed:
+    for row in sorted(missed, key=lambda row: row.fit_percent)[:_MISSED]:
         typer.echo(
             f"gbid: error: crossval {row.fit}: model of {row.model} on {row.recording}: "
-            f"{row.output} {row.fit_percent:.2f} %, below the {row.minimum_percent:g} % asked for",
+            f"{row.output} {row.fit_percent:.2f} %, below the {row.minimum_percent:g} % asked for; "
+            "look at its figures (`residuals: true`), or lower minimum_percent",
             err=True,
         )
+    if len(missed) > _MISSED:
+        typer.echo(f"gbid: error: crossval: {len(missed)} below the minimum in all; these were the worst", err=True)
+    causes = {o.cause for o in failed}
+    for cause, code in (("defect", GbidError.exit_code), ("usage", UsageError.exit_code)):
+        if cause in causes:
+            raise typer.Exit(code)
     for found, error in ((failed, DataError), (stuck, NotConvergedError), (missed, ThresholdError)):
         if found:
             raise typer.Exit(error.exit_code)

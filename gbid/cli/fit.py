@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
 
 
 def fit(
@@ -15,11 +15,15 @@ def fit(
     only: Annotated[str | None, typer.Option("--only", metavar="FIT", help="Run this one of the fits.")] = None,
     results: Results = None,
     overwrite: Overwrite = False,
+    engine: Engine = "auto",
+    workers: Workers = None,
+    retry: Retry = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Prefilter the recordings, if the YAML says so, and run the fits."""
     with guarded(as_json, debug):
+        from gbid.campaign.run import working
         from gbid.cli.documents import fit_documents, prefilter_documents
         from gbid.cli.ending import finish, outcome_rows
         from gbid.cli.printing import print_json, print_table
@@ -27,16 +31,18 @@ def fit(
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.problems import nearest
-        from gbid.experiment.stages import Job, prefilter_recordings, run_fits
+        from gbid.experiment.stages import prefilter_recordings, run_fits
         from gbid.report.tables import fit_tables, prefilter_table
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.fits:
-            raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do")
+            raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do; add one")
         if only is not None and only not in loaded.spec.fits:
             raise UsageError(f"--only {only}: no such fit; {nearest(only, loaded.spec.fits)}")
-        with reporting() as reporter:
-            job = Job(loaded, overwrite, reporter)
+        with (
+            reporting() as reporter,
+            working(loaded, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,
+        ):
             outcomes = [*prefilter_recordings(job), *run_fits(job, only)]
         documents, filtered = fit_documents(job, outcomes), prefilter_documents(outcomes)
         if as_json:

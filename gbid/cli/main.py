@@ -8,19 +8,30 @@ from typing import Annotated
 import typer
 
 from gbid._version import __version__
+from gbid.cli.batch import batch
 from gbid.cli.check import check
 from gbid.cli.crossval import crossval
+from gbid.cli.exporting import export
 from gbid.cli.fit import fit
+from gbid.cli.groups import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
 from gbid.cli.importing import import_data
+from gbid.cli.lpv import lpv
 from gbid.cli.new import new
 from gbid.cli.rig import rig
 from gbid.cli.run import run
+from gbid.cli.schema import schema
+from gbid.cli.static import static
 
 app = typer.Typer(
     name="gbid",
+    cls=GroupedCommands,
     help="Grey-box identification of rotors on controllable gas bearings, from an experiment YAML.",
+    epilog=examples(
+        "gbid new rig1                     # an experiment that runs as it is",
+        "gbid run rig1/experiment.yaml     # every stage that it names",
+        "gbid fit --help                   # options and examples of a verb",
+    ),
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -41,13 +52,47 @@ def _gbid(
     pass
 
 
-app.command("new")(new)
-app.command("check")(check)
-app.command("rig")(rig)
-app.command("import")(import_data)
-app.command("fit")(fit)
-app.command("crossval")(crossval)
-app.command("run")(run)
+app.command(
+    "new",
+    rich_help_panel=START,
+    epilog=examples("gbid new rig1", "gbid new --list", "gbid new rig2 --template own-recordings"),
+)(new)
+app.command("check", rich_help_panel=START, epilog=examples("gbid check rig1/experiment.yaml"))(check)
+app.command(
+    "run",
+    rich_help_panel=START,
+    epilog=examples("gbid run rig1/experiment.yaml", "gbid run rig1/experiment.yaml --json > results.json"),
+)(run)
+app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
+    schema
+)
+app.command("rig", rich_help_panel=DATA, epilog=examples("gbid rig rig1/experiment.yaml --overwrite"))(rig)
+app.command("import", rich_help_panel=DATA, epilog=examples("gbid import rig2/experiment.yaml"))(import_data)
+app.command("fit", rich_help_panel=IDENTIFY, epilog=examples("gbid fit rig1/experiment.yaml --only bearing"))(fit)
+app.command(
+    "batch",
+    rich_help_panel=IDENTIFY,
+    epilog=examples(
+        "gbid batch rig1/experiment.yaml                     # all processors; again to resume",
+        "gbid batch rig1/experiment.yaml --shard 3/8         # a job of an array",
+        "gbid batch rig1/experiment.yaml --scheduler tcp://node1:8786",
+    ),
+)(batch)
+app.command("static", rich_help_panel=IDENTIFY, epilog=examples("gbid static rig1/experiment.yaml --json"))(static)
+app.command(
+    "lpv",
+    rich_help_panel=IDENTIFY,
+    epilog=examples("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
+)(lpv)
+app.command("crossval", rich_help_panel=IDENTIFY, epilog=examples("gbid crossval rig1/experiment.yaml"))(crossval)
+app.command(
+    "export",
+    rich_help_panel=REPORT,
+    epilog=examples(
+        "gbid export rig1/experiment.yaml --to mat   # all its models, for MATLAB",
+        "gbid export theisen2016 --to csv --at 6 0   # a model at 6 bar and 0 rpm",
+    ),
+)(export)
 
 
 def main() -> None:

@@ -19,11 +19,28 @@ class Template(StrEnum):
     own_recordings = "own-recordings"
 
 
+ABOUT = {
+    Template.quickstart: "the virtual rig at one operating point: recordings, prefilter, fits, validation, figures",
+    Template.own_recordings: "example data in csv and a structure in Python, to be replaced by your own",
+}
+"""What each template holds."""
+
+
+def _print_templates(wanted: bool) -> None:
+    if wanted:
+        for template, about in ABOUT.items():
+            typer.echo(f"{template.value:16}{about}")
+        raise typer.Exit
+
+
 def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.", show_default=False)],
     template: Annotated[
-        Template, typer.Option("--template", help="The virtual rig, or recordings and a structure of your own.")
+        Template, typer.Option("--template", help="What to start from; --list tells what they hold.")
     ] = Template.quickstart,
+    _list: Annotated[
+        bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
+    ] = False,
     debug: Debug = False,
 ) -> None:
     """Write a commented experiment that runs as it is."""
@@ -32,4 +49,9 @@ def new(
 
         for path in write_template(template.value, folder):
             typer.echo(str(path))
-        typer.echo(f"next: gbid run {folder / 'experiment.yaml'}", err=True)
+        experiment = folder / "experiment.yaml"
+        for line in (
+            f"next: gbid run {experiment}",
+            f"then: change {experiment} and look at it with gbid check {experiment}",
+        ):
+            typer.echo(line, err=True)

@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-ExperimentPath = Annotated[Path, typer.Argument(metavar="EXPERIMENT", help="The experiment YAML.", show_default=False)]
+from gbid.cli.completion import complete_experiment
+
+ExperimentPath = Annotated[
+    Path,
+    typer.Argument(
+        metavar="EXPERIMENT", help="The experiment YAML.", show_default=False, autocompletion=complete_experiment
+    ),
+]
 Results = Annotated[
     Path | None,
     typer.Option("--results", metavar="DIR", help="Folder of the results, in place of the one in the YAML."),
@@ -15,5 +22,17 @@ Results = Annotated[
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace results that were made with other settings or data.")
 ]
+Engine = Annotated[
+    str,
+    typer.Option(
+        "--engine",
+        metavar="NAME",
+        help="What runs the items: serial (this process), pool (processes), dask, or auto (a pool for many).",
+    ),
+]
+Workers = Annotated[
+    int | None, typer.Option("--workers", metavar="N", help="Number of processes; all processors when not given.")
+]
+Retry = Annotated[bool, typer.Option("--retry", help="Try again what failed before with the same settings and data.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from rich.console import RenderableType
 
 _PIPE_WIDTH = 140
+_ROWS = 60  # of a cross-validation; more are in its CSV file only
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -32,12 +33,16 @@ def print_table(*tables: RenderableType) -> None:
         console.print(table)
 
 
-def print_crossval(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print a table for each fit that was cross-validated."""
+def print_crossval(rows: Sequence[Mapping[str, Any]], summaries: Sequence[Mapping[str, Any]]) -> None:
+    """Print the tables of each fit that was cross-validated: its pairs, unless they are many, and their summary."""
     from gbid.report.tables import crossval_table
+    from gbid.report.validation_tables import validation_table
 
-    for fit in dict.fromkeys(row["fit"] for row in rows):
-        print_table(crossval_table(fit, [dict(row) for row in rows if row["fit"] == fit]), "")
+    for summary in summaries:
+        own = [dict(row) for row in rows if row["fit"] == summary["fit"]]
+        if len(own) <= _ROWS:
+            print_table(crossval_table(summary["fit"], own), "")
+        print_table(validation_table(dict(summary)), "")
 
 
 def _plain(value: Any) -> Any:

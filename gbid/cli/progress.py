@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
+from gbid.cli.tally import Tally
 from gbid.experiment.stages.common import Outcome, Reporter
 
 if TYPE_CHECKING:
@@ -15,6 +17,9 @@ if TYPE_CHECKING:
 
 EVERY = 10
 """Iterations between plain lines."""
+
+PAUSE = 10.0
+"""Seconds between plain lines of a stage with many items."""
 
 
 @contextmanager
@@ -31,44 +36,79 @@ def reporting() -> Iterator[Reporter]:
 
 
 class PlainReporter:
-    """Lines for a log: one per result, and one per so many iterations."""
+    """Lines for a log: one per result and one per so many iterations; of many results one now and then."""
 
     def __init__(self) -> None:
-        self._line = _Line()
+        self._line, self._tally, self._said = _Line(), Tally(), 0.0
+
+    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
+        """Say how much there is to do, when it is much."""
+        self._tally, self._said = Tally(stage, todo, there, failed), time.monotonic()
+        if self._tally.many:
+            _print(self._tally.opening())
 
     def begin(self, stage: str, item: str) -> None:
         """Remember what the iterations belong to."""
         self._line = _Line(f"{stage} {item}")
+        self._tally.begin()
 
     def iteration(self, progress: Progress) -> None:
         """Print every tenth iteration."""
         text = self._line.of(progress)
-        if progress.iteration and progress.iteration % EVERY == 0:
+        if progress.iteration and progress.iteration % EVERY == 0 and not self._tally.many:
             _print(text)
 
     def end(self, outcome: Outcome) -> None:
-        """Print what became of the item."""
-        _print(_outcome(outcome))
+        """Print what became of the item; of one among many only that it failed."""
+        tally = self._tally
+        tally.end(outcome)
+        if not tally.many or outcome.stage != tally.stage:
+            _print(_outcome(outcome))
+            return
+        if outcome.state == "failed" and not outcome.before:
+            _print(_outcome(outcome))
+        now = time.monotonic()
+        if outcome.state != "kept" and tally.todo and (tally.done == tally.todo or now - self._said > PAUSE):
+            self._said = now
+            _print(tally.text())
 
 
 class TerminalReporter:
-    """One line that shows the present item and iteration, above it what is done."""
+    """One line that shows the present item and iteration, above it what is done; of many results their count."""
 
     def __init__(self, console: Any, status: Any) -> None:
-        self._console, self._status, self._line = console, status, _Line()
+        self._console, self._status, self._line, self._tally = console, status, _Line(), Tally()
+
+    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
+        """Say how much there is to do, when it is much."""
+        self._tally = Tally(stage, todo, there, failed)
+        if self._tally.many:
+            self._console.print(self._tally.opening(), markup=False, soft_wrap=True)
 
     def begin(self, stage: str, item: str) -> None:
         """Show what is being done."""
         self._line = _Line(item)  # without the stage, so that an iteration has room on a line of 80
-        self._status.update(f"{stage} {item}")
+        self._tally.begin()
+        self._status.update(self._tally.text() if self._tally.many else f"{stage} {item}")
 
     def iteration(self, progress: Progress) -> None:
         """Show the iteration."""
-        self._status.update(self._line.of(progress))
+        text = self._line.of(progress)
+        if not self._tally.many:
+            self._status.update(text)
 
     def end(self, outcome: Outcome) -> None:
-        """Leave a line with what became of the item."""
-        self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
+        """Leave a line with what became of the item; of one among many only when it failed."""
+        tally = self._tally
+        tally.end(outcome)
+        if not tally.many or outcome.stage != tally.stage:
+            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
+            return
+        if outcome.state == "failed" and not outcome.before:
+            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
+        self._status.update(tally.text())
+        if tally.todo and tally.done == tally.todo:
+            self._console.print(tally.text(), markup=False, soft_wrap=True)
 
 
 class _Line:
@@ -87,9 +127,10 @@ class _Line:
 
 
 def _outcome(outcome: Outcome) -> str:
-    time = f" ({outcome.seconds:.1f} s)" if outcome.state == "made" else ""
+    took = f" ({outcome.seconds:.1f} s)" if outcome.state == "made" else ""
+    state = "failed before" if outcome.before else outcome.state
     why = f": {outcome.text}" if outcome.text else ""
-    return f"{outcome.stage} {outcome.item}: {outcome.state}{time}{why}"
+    return f"{outcome.stage} {outcome.item}: {state}{took}{why}"
 
 
 def _print(text: str) -> None:

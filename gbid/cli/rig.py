@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
 
 
 def rig(
     experiment: ExperimentPath,
     results: Results = None,
     overwrite: Overwrite = False,
+    engine: Engine = "auto",
+    workers: Workers = None,
+    retry: Retry = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -18,4 +21,4 @@ def rig(
         from gbid.cli.sources import make_recordings
         from gbid.experiment.stages import make_rig_recordings
 
-        make_recordings("rig", make_rig_recordings, experiment, results, overwrite, as_json)
+        make_recordings("rig", make_rig_recordings, experiment, results, overwrite, as_json, engine, workers, retry)

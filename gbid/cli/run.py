@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
 
 
 def run(
     experiment: ExperimentPath,
     results: Results = None,
     overwrite: Overwrite = False,
+    engine: Engine = "auto",
+    workers: Workers = None,
+    retry: Retry = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -17,33 +20,45 @@ def run(
     with guarded(as_json, debug):
         import typer
 
-        from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
+        from gbid.campaign.collect import collect
+        from gbid.campaign.run import run_campaign, working
+        from gbid.cli.documents import (
+            campaign_document,
+            crossval_documents,
+            fit_documents,
+            prefilter_documents,
+            static_documents,
+            summary_documents,
+        )
         from gbid.cli.ending import finish, outcome_rows
         from gbid.cli.printing import print_crossval, print_json, print_table
         from gbid.cli.progress import reporting
+        from gbid.cli.tally import MANY
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import (
-            Job,
-            import_recordings,
-            make_rig_recordings,
-            prefilter_recordings,
-            run_crossval,
-            run_fits,
-        )
+        from gbid.experiment.stages import choose_nominal, draw_surfaces, made_surfaces, run_crossval, run_static
+        from gbid.report.lpv_tables import lpv_documents, lpv_tables
         from gbid.report.stage import draw_figures
-        from gbid.report.tables import fit_tables, prefilter_table
+        from gbid.report.static_tables import static_table
+        from gbid.report.tables import campaign_tables, fit_tables, prefilter_table
+        from gbid.report.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)
-        with reporting() as reporter:
-            job = Job(loaded, overwrite, reporter)
-            outcomes = []
-            for stage in (make_rig_recordings, import_recordings, prefilter_recordings, run_fits):
-                outcomes += stage(job)
+        with (
+            reporting() as reporter,
+            working(loaded, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,
+        ):
+            outcomes = [*run_campaign(job), *run_static(job)]
+            table, collected = collect(job) if loaded.spec.fits else (None, [])
             made, rows = run_crossval(job)
+            chosen, nominal = choose_nominal(job)
+            surfaces = draw_surfaces(job)
             drawn = draw_figures(job)
-        outcomes += [*made, *drawn]
+        outcomes += [*collected, *made, *chosen, *surfaces, *drawn]
         fits, validated = fit_documents(job, outcomes), crossval_documents(rows)
-        filtered = prefilter_documents(outcomes)
+        filtered, summaries = prefilter_documents(outcomes), summary_documents(made)
+        central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
+        static = static_documents(job, outcomes)
+        models = lpv_documents(loaded, surfaces, made_surfaces(job, surfaces))
         figures = [str(o.path) for o in drawn if o.state != "failed"]
         if as_json:
             print_json(
@@ -51,8 +66,12 @@ def run(
                     "experiment": loaded.spec.name,
                     "results": str(loaded.results),
                     "prefilter": filtered,
+                    "static": static,
                     "fits": fits,
                     "crossval": validated,
+                    "crossval_summary": summaries,
+                    "nominal": central,
+                    "lpv": models,
                     "figures": figures,
                     "outcomes": outcome_rows(outcomes),
                 }
@@ -60,9 +79,17 @@ def run(
         else:
             if filtered:
                 print_table(prefilter_table(filtered), "")
-            for document in fits:
+            for characterised in static:
+                print_table(static_table(characterised), "")
+            if len(fits) > MANY:
+                print_table(campaign_tables(campaign_document(loaded, outcomes, table)))
+            for document in fits if len(fits) <= MANY else ():
                 print_table(fit_tables(f"{document['fit']}, {document['model']}", document))
             if validated:
-                print_crossval(validated)
+                print_crossval(validated, summaries)
+            if central:
+                print_table(nominal_table(central), "")
+            for model in models:
+                print_table(lpv_tables(model))
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
         finish(outcomes, rows)

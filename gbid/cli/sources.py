@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from gbid.campaign.run import working
 from gbid.cli.documents import recording_documents
 from gbid.cli.ending import finish, outcome_rows
 from gbid.cli.printing import print_json, print_table
@@ -22,6 +23,9 @@ def make_recordings(
     results: Path | None,
     overwrite: bool,
     as_json: bool,
+    engine: str,
+    workers: int | None,
+    retry: bool,
 ) -> None:
     """Run the stage of one section and print what it made.
 
@@ -32,9 +36,12 @@ def make_recordings(
     """
     experiment = load_experiment(path, results)
     if section not in experiment.file.data:
-        raise UsageError(f"{path}: no section {section!r}, so there is nothing to do")
-    with reporting() as reporter:
-        outcomes = stage(Job(experiment, overwrite, reporter))
+        raise UsageError(f"{path}: no section {section!r}, so there is nothing to do; add one, or use `gbid run`")
+    with (
+        reporting() as reporter,
+        working(experiment, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,
+    ):
+        outcomes = stage(job)
     documents = recording_documents(experiment, outcomes)
     if as_json:
         print_json({"recordings": documents, "outcomes": outcome_rows(outcomes)})

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import tempfile
@@ -10,12 +11,16 @@ from pathlib import Path
 import numpy as np
 
 from gbid.errors import DataError, UsageError
+from gbid.experiment.json_schema import experiment_json_schema
 from gbid.share import share_folder
 from gbid.structure import LinearModel
 
+SCHEMA = "experiment.schema.json"
+"""The schema beside an experiment, with which an editor completes its keys and checks them."""
+
 
 def write_template(template: str, folder: Path) -> list[Path]:
-    """Write the files of a template into a new or empty folder; all of them or none.
+    """Write the files of a template, and the schema for editors, into a new or empty folder; all of them or none.
 
     Parameters
     ----------
@@ -52,6 +57,7 @@ def write_template(template: str, folder: Path) -> list[Path]:
             (part / "data").mkdir()
             for seed in (1, 2):
                 write_example_data(part / "data" / f"run{seed}.csv", seed)
+        _add_schema(part)
         mask = os.umask(0)
         os.umask(mask)
         part.chmod(0o777 & ~mask)
@@ -61,6 +67,15 @@ def write_template(template: str, folder: Path) -> list[Path]:
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _add_schema(folder: Path) -> None:
+    """Write the schema, and name it in the first line of the experiment, where editors look for it."""
+    schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
+    (folder / SCHEMA).write_text(schema + "\n", encoding="utf-8")
+    experiment = folder / "experiment.yaml"
+    text = experiment.read_text(encoding="utf-8")
+    experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
 
 
 def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time: float = 5e-4) -> None:

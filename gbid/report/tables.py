@@ -36,7 +36,7 @@ def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
     """Estimates, standard deviations and truth; each row in one power of ten."""
     with_truth = any(row["truth"] is not None for row in rows)
     truth = ["truth", "off by", "in std"] if with_truth else []
-    table = _table(title, ["parameter", "estimate", f"std\n({trusted})", *truth, "unit"], left=("parameter", "unit"))
+    table = new_table(title, ["parameter", "estimate", f"std\n({trusted})", *truth, "unit"], left=("parameter", "unit"))
     for row in rows:
         factor, unit = shown_unit(row["unit"])
         estimate = factor * row["estimate"]
@@ -59,7 +59,7 @@ def mode_table(rows: Sequence[Row]) -> Table:
     """Natural frequencies and damping factors."""
     with_truth = any(row["true_frequency_hz"] is not None for row in rows)
     truth = ["truth"] if with_truth else []
-    table = _table("", ["mode", "frequency\n[Hz]", "std", *truth, "damping\nfactor", "std", *truth], left=("mode",))
+    table = new_table("", ["mode", "frequency\n[Hz]", "std", *truth, "damping\nfactor", "std", *truth], left=("mode",))
     for row in rows:
         cells = [str(row["mode"])]
         for key, std, true, least in (
@@ -76,7 +76,7 @@ def mode_table(rows: Sequence[Row]) -> Table:
 def gain_table(rows: Sequence[Row]) -> Table:
     """Lay out static gains; those that the structure holds at zero are left out."""
     with_truth = any(row["truth"] is not None for row in rows)
-    table = _table("", ["static gain", "value", "std", *(["truth"] if with_truth else [])], left=("static gain",))
+    table = new_table("", ["static gain", "value", "std", *(["truth"] if with_truth else [])], left=("static gain",))
     for row in rows:
         if row["gain"] == 0 and not row["std"]:
             continue
@@ -100,7 +100,7 @@ def summary_table(lines: Iterable[tuple[str, str]]) -> Table:
 def prefilter_table(rows: Sequence[Row]) -> Table:
     """Lay out what the prefilter took out."""
     columns = ["recording", "", "rms before\n[µm]", "after\n[µm]", "run-out\nshare", "harmonics\n1, 2, 3 [µm]"]
-    table = _table("prefilter", [*columns, "spikes"], left=("recording", ""))
+    table = new_table("prefilter", [*columns, "spikes"], left=("recording", ""))
     for row in rows:
         harmonics = " ".join(f"{1e6 * amplitude:.2f}" for amplitude in row["harmonics"][:3])
         table.add_row(
@@ -120,12 +120,13 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
     missed = any(row["missed"] for row in rows)
     columns = ["model of", "on", "output", "fit\n[%]", "largest\nerror", "residuals\nwhite", "follow"]
     left = ("model of", "on", "output", "follow", "")
-    table = _table(f"{title}, cross-validation, simulated", [*columns, *([""] if missed else [])], left=left)
+    table = new_table(f"{title}, cross-validation, simulated", [*columns, *([""] if missed else [])], left=left)
     for row in rows:
         factor, unit = (1e6, "µm") if row["unit"] == "m" else (1.0, row["unit"])
         cells = [row[key] for key in ("model", "recording", "output")]
         cells += [f"{row['fit_percent']:.2f}", f"{engineering(factor * row['infinity_norm'], 2)} {unit}"]
-        cells += ["yes" if row["residuals_white"] else "no", ", ".join(row["residuals_follow"]) or "-"]
+        white = {None: "-", True: "yes", False: "no"}[row["residuals_white"]]
+        cells += [white, ", ".join(row["residuals_follow"]) or "-"]
         cells += [f"below {row['minimum_percent']:g} %" if row["missed"] else ""] if missed else []
         table.add_row(*cells)
     return table
@@ -133,11 +134,25 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
 
 def recording_table(rows: Sequence[Row]) -> Table:
     """Lay out recordings with their length and operating point."""
-    table = _table("recordings", ["recording", "samples", "duration [s]", "conditions", "state"])
+    table = new_table("recordings", ["recording", "samples", "duration [s]", "conditions", "state"])
     for row in rows:
         conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
         table.add_row(row["name"], str(row["samples"]), f"{row['duration_s']:g}", conditions, row["state"])
     return table
+
+
+def campaign_tables(document: Row) -> Group:
+    """Sum up a campaign: what became of the items of each stage, and how the fits came out."""
+    stages = new_table("", ["stage", "made", "kept", "failed", "not converged"], left=("stage",))
+    for stage, counts in document["stages"].items():
+        stages.add_row(stage, *(str(counts[state]) for state in ("made", "kept", "failed", "not_converged")))
+    fits = new_table("", ["fit", "fits", "converged", "missing", "median [%]", "worst [%]", "of"], left=("fit", "of"))
+    for row in document["fits"]:
+        medians = ", ".join(f"{output} {value:.1f}" for output, value in row["median_fit_percent"].items())
+        worst = "" if row["worst"] is None else f"{row['worst_fit_percent']:.1f}"
+        numbers = (str(row[key]) for key in ("fits", "converged", "missing"))
+        fits.add_row(row["fit"], *numbers, medians, worst, row["worst"] or "")
+    return Group(*(part for table in (stages, fits) if table.row_count for part in (table, Text(""))))
 
 
 def _digits(estimate: float, std: float) -> int:
@@ -152,7 +167,8 @@ def _decimals(std: float | None, least: int) -> int:
     return least if not std else min(max(least, 1 - floor(log10(std))), 7)
 
 
-def _table(title: str, columns: Sequence[str], left: Sequence[str] = ("recording", "conditions", "state")) -> Table:
+def new_table(title: str, columns: Sequence[str], left: Sequence[str] = ("recording", "conditions", "state")) -> Table:
+    """Begin a table in the house style; the columns named in `left` hold words."""
     table = Table(
         title=Text(title) if title else None,
         title_justify="left",

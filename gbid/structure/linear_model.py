@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 from gbid.errors import UsageError
+from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
 
 FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
@@ -90,8 +92,8 @@ class LinearModel:
         """Eigenvalues in continuous time [rad/s], shape (n,), by rising magnitude."""
         poles = np.linalg.eigvals(self.A).astype(complex)
         if self.dt is not None:
-            with np.errstate(divide="ignore"):
-                poles = np.log(poles) / self.dt
+            with np.errstate(divide="ignore"):  # a pole at zero, as of a shift register, has decayed at once
+                poles = np.log(np.abs(poles)) / self.dt + 1j * np.angle(poles) / self.dt
         return poles[np.lexsort((poles.imag, np.abs(poles)))]
 
     def is_stable(self) -> bool:
@@ -243,6 +245,50 @@ class LinearModel:
                 gain = discretise(np.array(self.A), gain, sample_time, "zoh").G_now
             F, forcing = F - gain @ self.C, forcing + (y - u @ self.D.T) @ gain.T
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
+
+    def to_scipy(self) -> Any:
+        """Return the model as ``scipy.signal.StateSpace``; names and disturbance gain stay behind.
+
+        Raises
+        ------
+        UsageError
+            When it has exact delays; `with_pade` makes states of them.
+        """
+        return scipy_state_space(self)
+
+    def to_control(self) -> Any:
+        """Return the model as ``control.StateSpace`` with its names; the disturbance gain stays behind.
+
+        Dots in names become underscores: python-control keeps the dot for itself.
+
+        Raises
+        ------
+        UsageError
+            When it has exact delays (`with_pade` makes states of them), or python-control is not installed: the
+            extra ``gbid[control]``.
+        """
+        return control_state_space(self)
+
+    @classmethod
+    def from_control(cls, system: Any, name: str | None = None) -> LinearModel:
+        """Take over a state-space system of python-control.
+
+        Parameters
+        ----------
+        system : control.StateSpace
+        name : str, optional
+            In place of the system's own.
+
+        Returns
+        -------
+        LinearModel
+
+        Raises
+        ------
+        UsageError
+            When it is another kind of system, or its ``dt`` is None or True, so that nobody knows its time.
+        """
+        return cls(**from_state_space(system, name))
 
     def _driven(
         self,

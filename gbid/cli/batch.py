@@ -1,0 +1,73 @@
+"""`gbid batch`: recordings, prefilter and fits of a campaign on all processors, and the table of the fits."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from gbid.cli.guard import guarded
+from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
+
+
+def batch(
+    experiment: ExperimentPath,
+    engine: Engine = "auto",
+    workers: Workers = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", metavar="tcp://HOST:PORT", help="Run on this Dask scheduler.")
+    ] = None,
+    shard: Annotated[
+        str | None, typer.Option("--shard", metavar="I/N", help="Run part I of N only, as a job of an array.")
+    ] = None,
+    retry: Retry = False,
+    collect: Annotated[bool, typer.Option("--collect", help="Run nothing; make the table of what is there.")] = False,
+    results: Results = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Make, prefilter and fit all recordings on all processors; run it again to go on where it stopped."""
+    with guarded(as_json, debug):
+        from gbid.campaign.collect import collect as make_table
+        from gbid.campaign.run import run_campaign, working
+        from gbid.campaign.shard import read_shard
+        from gbid.cli.documents import campaign_document
+        from gbid.cli.ending import finish, outcome_rows
+        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.progress import reporting
+        from gbid.errors import UsageError
+        from gbid.experiment.load import load_experiment
+        from gbid.report.tables import campaign_tables
+
+        part = read_shard(shard) if shard is not None else None
+        if collect and (part is not None or retry or scheduler is not None):
+            raise UsageError("--collect runs nothing; leave --shard, --retry and --scheduler out")
+        loaded = load_experiment(experiment, results)
+        if not loaded.spec.fits:
+            raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do; add one")
+        with (
+            reporting() as reporter,
+            working(
+                loaded,
+                overwrite=overwrite,
+                retry=retry,
+                reporter=reporter,
+                engine="serial" if collect else engine,
+                workers=workers,
+                scheduler=scheduler,
+                shared=part is not None,
+            ) as job,
+        ):
+            outcomes = [] if collect else run_campaign(job, part)
+            table = None
+            if part is None:
+                table, made = make_table(job)
+                outcomes += made
+        document = campaign_document(loaded, outcomes, table)
+        if as_json:
+            print_json({**document, "outcomes": outcome_rows(outcomes)})
+        else:
+            print_table(campaign_tables(document))
+            typer.echo("\n".join([*(f"table: {path}" for path in document["table"]), f"results: {loaded.results}"]))
+        finish(outcomes)

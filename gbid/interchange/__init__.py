@@ -1,0 +1,7 @@
+"""Models, fits and LPV models in files of other programs: MATLAB, spreadsheets, plain YAML."""
+
+from gbid.interchange.csv_file import save_csv
+from gbid.interchange.mat_file import Exportable, save_mat
+from gbid.interchange.plain_yaml import save_yaml
+
+__all__ = ["Exportable", "save_csv", "save_mat", "save_yaml"]

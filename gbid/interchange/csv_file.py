@@ -1,0 +1,114 @@
+"""Models as tables for a spreadsheet."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.atomic import atomic_path
+from gbid.errors import UsageError
+from gbid.identify import FitResult
+from gbid.interchange.mat_file import Exportable
+from gbid.lpv import LPVModel
+from gbid.lpv.basis import TERMS
+from gbid.lpv.model_file import SI_UNITS
+from gbid.structure import KEY_PARAMETERS, LinearModel
+
+Row = Sequence[object]
+
+
+def save_csv(
+    what: Exportable, path: str | Path, *, frequency_hz: npt.ArrayLike | None = None, overwrite: bool = False
+) -> Path:
+    """Write a model as a table: first line the headings, numbers with all their digits, decimal point, commas.
+
+    A `LinearModel` gives its matrices, one entry a line with the names of its row and column; a `FitResult` its
+    parameters with standard deviation and unit; a `LPVModel` the coefficients of Eq. 16. With `frequency_hz` it is
+    the frequency response of the model or fit: magnitude and phase [deg] of each pair of channels.
+
+    Parameters
+    ----------
+    what : LinearModel, FitResult or LPVModel
+    path : path
+    frequency_hz : (n,) array, optional
+        Frequencies [Hz].
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    pathlib.Path
+        The file.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, or a frequency response is asked of an LPV model.
+    DataError
+        When it cannot be written.
+    """
+    path = Path(path)
+    if frequency_hz is not None:
+        if isinstance(what, LPVModel):
+            raise UsageError(
+                f"{path}: an LPV model has a frequency response at one operating point only; "
+                "give what.at(pressure_bar, speed_rpm)"
+            )
+        rows = _responses(what.model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
+    elif isinstance(what, LPVModel):
+        rows = _coefficients(what)
+    elif isinstance(what, FitResult):
+        rows = _parameters(what)
+    else:
+        rows = _matrices(what)
+    with atomic_path(path, overwrite) as part, part.open("w", encoding="utf-8", newline="") as handle:
+        csv.writer(handle, lineterminator="\n").writerows(rows)
+    return path
+
+
+def _matrices(model: LinearModel) -> Iterator[Row]:
+    x, u, y = model.state_names, model.input_names, model.output_names
+    yield ("matrix", "row", "column", "row_name", "column_name", "value")
+    for letter, values, down, across in (
+        ("A", model.A, x, x),
+        ("B", model.B, x, u),
+        ("C", model.C, y, x),
+        ("D", model.D, y, u),
+        ("K", model.K, x, y),
+        ("B_delayed", model.B_delayed, x, u),
+    ):
+        if values is not None:
+            for (i, j), value in np.ndenumerate(values):
+                yield (letter, i + 1, j + 1, down[i], across[j], repr(float(value)))
+    for j, value in enumerate(() if model.delay is None else model.delay):
+        yield ("delay", 1, j + 1, "s", u[j], repr(float(value)))
+    if model.dt is not None:
+        yield ("dt", 1, 1, "s", "", repr(float(model.dt)))
+
+
+def _parameters(fit: FitResult) -> Iterator[Row]:
+    yield ("parameter", "estimate", "std", "unit", "free")
+    for name, value in fit.parameters.items():
+        free = "yes" if name in fit.free else "no"
+        yield (name, repr(float(value)), repr(float(fit.std[name])), fit.units.get(name, ""), free)
+
+
+def _coefficients(model: LPVModel) -> Iterator[Row]:
+    yield ("parameter", "unit", *TERMS)
+    for key in KEY_PARAMETERS:
+        yield (key, SI_UNITS[key.split("_")[0]], *(repr(value) for value in model.coefficients[key]))
+
+
+def _responses(model: LinearModel, frequency_hz: npt.NDArray[np.float64]) -> Iterator[Row]:
+    response = model.frequency_response(frequency_hz)
+    pairs = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
+    names = [f"{model.output_names[i]}/{model.input_names[j]}" for i, j in pairs]
+    yield ("frequency_hz", *(f"{what} {name}" for name in names for what in ("magnitude", "phase_deg")))
+    phase = np.rad2deg(np.unwrap(np.angle(response), axis=0))
+    for k, frequency in enumerate(frequency_hz):
+        shown = (value for i, j in pairs for value in (abs(response[k, i, j]), phase[k, i, j]))
+        yield (repr(float(frequency)), *(repr(float(value)) for value in shown))

@@ -1,0 +1,110 @@
+"""Tables of what surfaces over pressure and speed leave of the fits that they were drawn through."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import numpy as np
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from gbid.experiment.load import Experiment
+from gbid.experiment.stages import Outcome
+from gbid.lpv import LPVFit
+from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN
+from gbid.report.rows import Row
+from gbid.report.tables import new_table
+from gbid.structure import KEY_PARAMETERS
+
+_PUBLISHED = "theisen2016"
+_OUTLIERS = 10  # that are printed; all are in the document
+
+
+def lpv_documents(experiment: Experiment, outcomes: Sequence[Outcome], fits: Mapping[str, LPVFit]) -> list[Row]:
+    """Documents of the surfaces of an experiment; the paper's figures stand beside when the machine is its own."""
+    published = experiment.spec.rig is not None and experiment.spec.rig.model == _PUBLISHED
+    paths = {outcome.item: outcome.path for outcome in outcomes}
+    return [lpv_document(item, fit, paths[item], published=published) for item, fit in fits.items()]
+
+
+def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
+    """Everything that a fit of surfaces says, as plain values.
+
+    Parameters
+    ----------
+    item : str
+    fit : LPVFit
+    path : path
+        The model file.
+    published : bool
+        Whether the machine is the paper's, whose figures then stand beside.
+    """
+    rows = [asdict(d) for d in fit.deviations]
+    for row in rows:
+        if not published:
+            row["published_rms"] = None
+    return {
+        "item": item,
+        "path": str(path),
+        "model": fit.model.name,
+        "recordings": len(fit.estimates.recordings),
+        "operating_points": len(fit.model.operating_points),
+        "status": fit.status,
+        "success": fit.success,
+        "options": dict(fit.options),
+        "deviations": rows,
+        "published_largest_gain": PUBLISHED_LARGEST_GAIN if published else None,
+        "orders": [{"order": s.order, "score": s.score, "why_not": s.why_not} for s in fit.orders],
+        "coefficients": {key: list(fit.model.coefficients[key]) for key in KEY_PARAMETERS},
+        "coefficients_std": dict(
+            zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.covariance)).reshape(-1, 6).tolist(), strict=True)
+        ),
+        "scatter_std": dict(zip(KEY_PARAMETERS, np.sqrt(np.diag(fit.scatter)).tolist(), strict=True)),
+        "lack_of_fit": dict(zip(KEY_PARAMETERS, fit.lack_of_fit.tolist(), strict=True)),
+        "outliers": [asdict(o) for o in fit.outliers],
+        "left_out": list(fit.estimates.left_out),
+        "notes": list(fit.notes),
+    }
+
+
+def lpv_tables(document: Row) -> Group:
+    """Deviations, orders and outliers of one fit of surfaces, one below the other.
+
+    Parameters
+    ----------
+    document : dict
+        From `lpv_document`.
+    """
+    parts: list[Table | Text] = [_deviation_table(document), Text("")]
+    orders = [
+        f"{row['order']}: {row['score']:.3f}" if row["why_not"] == "" else f"{row['order']}: not possible"
+        for row in document["orders"]
+    ]
+    if orders:
+        parts.append(Text(f"error at points left out, by order (order 0 = 1): {', '.join(orders)}"))
+    for row in document["outliers"][:_OUTLIERS]:
+        parts.append(Text(f"off the surface: {row['recording']}, {row['parameter']}, {row['standardised']:+.1f} std"))
+    if len(document["outliers"]) > _OUTLIERS:
+        parts.append(Text(f"off the surface: {len(document['outliers'])} in all; these were the worst"))
+    parts += [Text(f"note: {note}") for note in document["notes"]]
+    parts += [Text(f"model: {document['path']}"), Text("")]
+    return Group(*parts)
+
+
+def _deviation_table(document: Row) -> Table:
+    with_paper = any(row["published_rms"] is not None for row in document["deviations"])
+    paper = ["rms,\npaper"] if with_paper else []
+    title = (
+        f"{document['item']}: {document['recordings']} recordings at {document['operating_points']} operating points, "
+        f"{document['options']['method']}, {document['status']}"
+    )
+    table = new_table(title, ["", "rms", *paper, "largest", "unit", "recording"], left=("", "unit", "recording"))
+    for row in document["deviations"]:
+        factor, unit = (1e3, "ms") if row["unit"] == "s" else (1.0, row["unit"])
+        cells = [f"{factor * row['rms']:.4g}"]
+        cells += [f"{factor * row['published_rms']:.4g}"] if with_paper else []
+        table.add_row(row["name"], *cells, f"{factor * row['largest']:.4g}", unit, row["recording"])
+    return table

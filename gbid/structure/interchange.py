@@ -1,0 +1,79 @@
+"""Linear models as objects of other libraries, and back."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from gbid.errors import UsageError
+
+if TYPE_CHECKING:
+    from gbid.structure.linear_model import LinearModel
+
+
+def scipy_state_space(model: LinearModel) -> Any:
+    """Return ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
+    from scipy import signal
+
+    _refuse_delays(model, "scipy")
+    matrices = (np.array(m) for m in (model.A, model.B, model.C, model.D))
+    return signal.StateSpace(*matrices, **({} if model.dt is None else {"dt": model.dt}))
+
+
+def control_state_space(model: LinearModel) -> Any:
+    """Return ``control.StateSpace``; see `LinearModel.to_control`."""
+    control = _python_control()
+    _refuse_delays(model, "python-control")
+    return control.StateSpace(
+        *(np.array(m) for m in (model.A, model.B, model.C, model.D)),
+        0 if model.dt is None else model.dt,
+        inputs=_labels(model.input_names),
+        outputs=_labels(model.output_names),
+        states=_labels(model.state_names),
+        name=model.name,
+        remove_useless_states=False,
+    )
+
+
+def from_state_space(system: Any, name: str | None) -> dict[str, Any]:
+    """Return the fields of a `LinearModel` that are the system's; see `LinearModel.from_control`."""
+    if not all(hasattr(system, part) for part in ("A", "B", "C", "D", "dt", "input_labels")):
+        raise UsageError(
+            f"a {type(system).__name__} is no state-space system of python-control; "
+            "convert it first, control.ss(system)"
+        )
+    if system.dt is None or isinstance(system.dt, bool):
+        raise UsageError(
+            f"system {system.name!r} has dt = {system.dt}, no sample time that counts; "
+            "set system.dt to 0 for continuous time, or to the sample time in seconds"
+        )
+    return {
+        **{letter: np.asarray(getattr(system, letter), float) for letter in "ABCD"},
+        "dt": None if system.dt == 0 else float(system.dt),
+        "input_names": tuple(system.input_labels),
+        "output_names": tuple(system.output_labels),
+        "state_names": tuple(system.state_labels),
+        "name": system.name if name is None else name,
+    }
+
+
+def _python_control() -> Any:
+    try:
+        import control
+    except ImportError:
+        raise UsageError("python-control is not installed; install the extra: pip install 'gbid[control]'") from None
+    return control
+
+
+def _refuse_delays(model: LinearModel, library: str) -> None:
+    if model.delay is not None:
+        raise UsageError(
+            f"model {model.name!r} has exact delays, which {library} does not know; "
+            "turn them into states first, with_pade(model, order)"
+        )
+
+
+def _labels(names: tuple[str, ...]) -> list[str]:
+    """Names that python-control takes: it keeps the dot for itself."""
+    return [name.replace(".", "_") for name in names]

@@ -1,0 +1,192 @@
+"""Synthetic data for every figure of the report, made from the published model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+import gbid
+from gbid import report
+from gbid.control import p_controller, sensitivity_data
+from gbid.structure import LinearModel
+
+POINT = "6 bar, 0 rpm"
+
+
+def machine():
+    return gbid.load_model("theisen2016")
+
+
+def estimates(names, points, seed=1):
+    """Key parameters at operating points with the scatter of estimates."""
+    random = np.random.default_rng(seed)
+    true = machine().key_parameters(points[:, 0], points[:, 1])
+    return {name: true[name] * (1 + 0.03 * random.standard_normal(len(points))) for name in names}
+
+
+def grid_points():
+    return np.array([(bar, rpm) for bar in (3, 4, 5, 6, 7) for rpm in (0, 4000, 6000)], float)
+
+
+def surfaces(names=("k_xx", "k_xy", "k_yx", "k_yy")):
+    points = grid_points()
+    data = report.surfaces_data(machine(), names, points=points, estimates=estimates(names, points))
+    return report.plot_surfaces(data)
+
+
+def damping_surfaces():
+    return surfaces(("d_xx", "d_xy", "d_yx", "d_yy"))
+
+
+def gain_surfaces():
+    return surfaces(("b_xx", "b_xy", "b_yx", "b_yy"))
+
+
+def delays():
+    points = grid_points()
+    found = estimates(("tau_x", "tau_y"), points)
+    return report.plot_over_pressure(report.delays_data(machine(), points=points, estimates=found))
+
+
+def modes(what="frequency"):
+    points, random = grid_points(), np.random.default_rng(2)
+    index = 0 if what == "frequency" else 1
+    true = np.array([[mode[index] for mode in machine().at(*point).modes()[:2]] for point in points])
+    found = {f"{what}_{i + 1}": true[:, i] * (1 + 0.01 * random.standard_normal(len(points))) for i in range(2)}
+    return report.plot_over_pressure(report.modes_data(machine(), what, points=points, estimates=found))
+
+
+def damping_factors():
+    return modes("damping")
+
+
+def static_gains():
+    points, random = grid_points(), np.random.default_rng(3)
+    true = np.array([machine().at(*point).static_gain().ravel() for point in points])
+    names = [f"g_{i}{j}" for i in "xy" for j in "xy"]
+    found = {name: true[:, k] + 0.005 * random.standard_normal(len(points)) for k, name in enumerate(names)}
+    return report.plot_over_pressure(report.static_gains_data(machine(), points=points, estimates=found))
+
+
+def histograms():
+    random = np.random.default_rng(4)
+    return report.plot_fit_histogram(
+        report.histogram_data(
+            {"$p_x$": 81.1 + 2.66 * random.standard_normal(86), "$p_y$": 85.1 + 3.37 * random.standard_normal(86)}
+        )
+    )
+
+
+def actuators():
+    random, true = np.random.default_rng(5), machine().actuators
+    values = {name: value * (1 + 0.01 * random.standard_normal(86)) for name, value in true.items()}
+    outliers = {}
+    for name in values:
+        out = random.random(86) < 0.06
+        values[name] = np.where(out, values[name] * 1.15, values[name])
+        outliers[name] = out
+    return report.plot_actuator_parameters(report.ActuatorParameters(values, outliers, nominal=38))
+
+
+def static_map():
+    gain = machine().at(6, 0).static_gain()
+    u = 1e-6 * np.array([*range(-10, 11, 2), *range(8, -11, -2)])
+    rising = np.arange(len(u)) <= 10
+    random = np.random.default_rng(6)
+    sweeps = []
+    for j, axis in enumerate("xy"):
+        p = u[:, None] * gain[:, j] + 1e-6 * np.array([3.0, -2.0]) + 1e-7 * random.standard_normal((len(u), 2))
+        sweeps.append(report.static_sweep_data(axis, u, p, rising))
+    return report.plot_static_map(sweeps, title=POINT)
+
+
+def loop():
+    return machine().plant_at(6, 0), p_controller(1.125, 0.99)
+
+
+def sensitivity():
+    return report.plot_magnitudes(report.sensitivity_curves(sensitivity_data(*loop()), POINT))
+
+
+def bode():
+    return report.plot_magnitudes(report.bode_curves(sensitivity_data(*loop()), POINT))
+
+
+def impact():
+    plant, controller = loop()
+    closed = gbid.close_loop(plant, controller)
+    time = 2e-4 * np.arange(1000)
+    pulse = np.zeros((1000, 2))
+    pulse[50:60, 0] = np.sin(np.pi * np.arange(10) / 10)
+    responses = {
+        name: 2e-5 * m.simulate(pulse, 2e-4)[:, 0] for name, m in (("open loop", plant), ("closed loop", closed))
+    }
+    forces = {"open loop": 30 * pulse[:, 0], "closed loop": 29 * pulse[:, 0]}
+    return report.plot_impact(report.ImpactCurves(time, responses, forces, "x", POINT))
+
+
+def piezo_staircases():
+    steps = np.array([*range(0, 11), *range(9, -1, -1)], float)
+    command, time = np.repeat(steps, 200), 2e-3 * np.arange(200 * len(steps))
+    bow = np.where(np.arange(len(steps)) <= 10, -4.2e-6, 4.2e-6) * (1 - ((steps - 5) / 5) ** 2)
+
+    def settle(plateaus, samples):
+        before = np.concatenate([plateaus[:1], plateaus[:-1]])
+        decay = np.exp(-np.arange(1, 201) / samples)
+        return (plateaus[:, None] + (before - plateaus)[:, None] * decay).ravel()
+
+    reference = 4.5e-6 * command
+    return [
+        report.piezo_staircase_data("open loop", time, command, settle(4.5e-6 * steps + bow, 25.0)),
+        report.piezo_staircase_data("PD control", time, reference, settle(4.5e-6 * steps, 8.0), "m"),
+    ]
+
+
+def hysteresis():
+    return report.plot_piezo_hysteresis(piezo_staircases())
+
+
+def staircase():
+    return report.plot_piezo_staircase(piezo_staircases())
+
+
+def pareto():
+    peak = np.linspace(1.4, 2.8, 9)
+    designs = {
+        "P": list(zip(peak, 0.35 * (1 - np.exp(1.0 - peak)), strict=True)),
+        "biquad": list(zip(peak, 0.75 * (1 - np.exp(1.2 * (1.0 - peak))), strict=True)),
+    }
+    return report.plot_pareto(report.pareto_data(designs, {"paper": (2.283, 0.318)}, title=POINT))
+
+
+def damping_map():
+    return report.plot_damping_map(
+        report.damping_map_data(machine(), p_controller(1.125, 0.99), n=9, title="closed loop")
+    )
+
+
+def eigenvalues():
+    plant, controller = loop()
+    closed = gbid.close_loop(plant, controller)
+    return report.plot_eigenvalues(report.eigenvalues_data({"open loop": plant, "closed loop": closed}, title=POINT))
+
+
+def root_locus():
+    plant = loop()[0]
+
+    def controller(factor: float) -> LinearModel:
+        return p_controller(1.125 * factor, 0.99 * factor)
+
+    return report.plot_root_locus(report.root_locus_data(plant, controller, np.linspace(0, 1.2, 121), title=POINT))
+
+
+FIGURES = {
+    case.__name__: case
+    for case in (
+        surfaces, damping_surfaces, gain_surfaces, delays, modes, damping_factors, static_gains, histograms, actuators,
+        static_map, sensitivity, bode, impact, hysteresis, staircase, pareto, damping_map, eigenvalues, root_locus,
+    )
+}  # fmt: skip
+FIGURES |= {
+    name: getattr(report, f"plot_{name}")
+    for name in ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
+}

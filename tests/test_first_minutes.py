@@ -1,0 +1,238 @@
+"""The first five minutes: help that shows the way, a schema for editors, completion, files to take along."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from experiment_files import gbid, write_quick, write_spring
+from scipy.io import loadmat
+
+from gbid.cli.completion import complete_experiment, complete_source
+from gbid.cli.groups import GROUPS
+from gbid.cli.main import app
+from gbid.experiment.json_schema import experiment_json_schema
+from gbid.yaml_file import read_yaml
+
+ROOT = Path(__file__).resolve().parents[1]
+EXPERIMENTS = [p for p in sorted((ROOT / "experiments").rglob("*.yaml")) if "results" not in p.relative_to(ROOT).parts]
+VERBS = [command.name for command in app.registered_commands]
+
+
+@pytest.fixture(scope="module")
+def validator():
+    jsonschema = pytest.importorskip("jsonschema", reason="jsonschema is not installed: pip install jsonschema")
+    schema = experiment_json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    """An experiment whose fits are made."""
+    path = write_spring(tmp_path_factory.mktemp("spring"))
+    assert gbid("import", path) == 0
+    assert gbid("fit", path) == 0
+    return path
+
+
+def test_help_lists_the_verbs_in_groups_with_whole_sentences(capsys):
+    assert gbid("--help") == 0
+    text = capsys.readouterr().out
+    shown = [line[:-1] for line in text.splitlines() if re.fullmatch(r"\w+:", line)]
+    groups = [name for name in shown if name in GROUPS]
+    assert groups == [name for name in GROUPS if name in groups]  # in the order of the work
+    assert {"Start", "Data", "Identify", "Report"} <= set(groups)
+    assert "Other:" not in text, "a verb without a group"
+    assert "..." not in text.partition("Start:")[2]
+    for verb in VERBS:
+        assert re.search(rf"^  {verb} +\w", text, re.MULTILINE), verb
+    assert "\n    gbid new rig1 " in text
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
+    assert gbid(verb, "--help") == 0
+    text = capsys.readouterr().out
+    examples = [line.strip() for line in text.partition("Examples:")[2].splitlines() if line.strip()]
+    assert examples, verb
+    assert len([line for line in examples if line.startswith(f"gbid {verb}")]) == len(examples)
+    for option in re.findall(r" (--[\w-]+)", " ".join(examples)):
+        assert re.search(rf"{option}\b", text.partition("Examples:")[0]), f"{verb} has no {option}"
+
+
+def test_new_lists_templates_and_says_what_comes_next(tmp_path, capsys):
+    assert gbid("new", "--list") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == ["quickstart", "own-recordings"]
+    for line in lines:
+        folder = tmp_path / line.split()[0]
+        assert gbid("new", folder, "--template", folder.name) == 0
+        captured = capsys.readouterr()
+        assert f"next: gbid run {folder / 'experiment.yaml'}" in captured.err
+        first, rest = (folder / "experiment.yaml").read_text().split("\n", 1)
+        assert first == "# yaml-language-server: $schema=experiment.schema.json"
+        source = "quickstart.yaml" if folder.name == "quickstart" else "own_recordings/experiment.yaml"
+        assert rest == (ROOT / "experiments" / source).read_text()
+        assert json.loads((folder / "experiment.schema.json").read_text()) == experiment_json_schema()
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda p: p.name)
+def test_shipped_experiments_hold_to_the_schema(path, validator):
+    assert not [(e.json_path, e.message) for e in validator.iter_errors(read_yaml(path).data)]
+
+
+@pytest.mark.parametrize(
+    ("change", "where"),
+    [
+        (("  seed: 3", "  sede: 3"), "$.rig"),
+        (("duration_s: 1.0", "duration_s: -1.0"), "$.rig.duration_s"),
+        (("stop: paper", "stop: never"), "$.fits.bearing.stop"),
+        (("stop: paper", "window: 1"), "$.fits.bearing.window"),
+        (("stop: paper", "initial_state: there"), "$.fits.bearing.initial_state"),
+        (("on: cyclic", "on: []"), "$.crossval.bearing.on"),
+        (("{structure: piezo_pair}", "{}"), "$.fits.piezos"),
+    ],
+)
+def test_schema_finds_what_the_check_finds(change, where, tmp_path, validator, capsys):
+    path = write_quick(tmp_path, change)
+    assert where in [e.json_path for e in validator.iter_errors(read_yaml(path).data)]
+    assert gbid("check", path) == 2
+    assert capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "change",
+    [("stop: paper", "window: one"), ("stop: paper", "inputs: u"), ("stop: paper", "intersample: [zoh, foh]"),
+     ("stop: paper", "initial_state: [0.0, 0, 0, 0, 0, 0]"), ("on: cyclic", "on: [p5_n6000_prbs1]")],
+)  # fmt: skip
+def test_schema_takes_what_the_check_takes(change, tmp_path, validator, capsys):
+    path = write_quick(tmp_path, change)
+    assert not list(validator.iter_errors(read_yaml(path).data))
+    assert gbid("check", path) == 0, capsys.readouterr().err
+
+
+def test_schema_tells_what_keys_mean():
+    schema = experiment_json_schema()
+    assert schema["$schema"].endswith("2020-12/schema")
+    sections = schema["$defs"]
+    assert all(section["description"] for section in sections.values())
+    fit = sections["FitSection"]["properties"]
+    assert fit["criterion"]["description"].startswith("Mean squared error")
+    assert "`" not in json.dumps(schema, ensure_ascii=False)
+
+
+def test_schema_goes_to_a_file_once(tmp_path, capsys):
+    path = tmp_path / "schema.json"
+    assert gbid("schema", "--output", path) == 0
+    assert "yaml-language-server: $schema=schema.json" in capsys.readouterr().err
+    assert gbid("schema") == 0
+    assert json.loads(capsys.readouterr().out) == json.loads(path.read_text())
+    assert gbid("schema", "--output", path) == 2
+    assert "exists already" in capsys.readouterr().err
+
+
+def test_completion_offers_experiments_and_folders(tmp_path, monkeypatch):
+    for name in ("a.yaml", "b.yml", "c.txt", "d.h5", ".hidden.yaml", "rigs/e.yaml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    monkeypatch.chdir(tmp_path)
+    assert complete_experiment("") == ["a.yaml", "b.yml", "rigs/"]
+    assert complete_experiment("ri") == ["rigs/"]
+    assert complete_experiment("rigs/") == ["rigs/e.yaml"]
+    assert complete_experiment(".h") == [".hidden.yaml"]
+    assert complete_experiment(f"{tmp_path}/a") == [f"{tmp_path}/a.yaml"]
+    assert complete_experiment("nowhere/x") == []
+    assert "d.h5" in complete_source("")
+
+
+def test_bash_completes_verbs_and_files(tmp_path):
+    (tmp_path / "rig1.yaml").touch()
+
+    def offered(*words):
+        environment = {**os.environ, "_GBID_COMPLETE": "complete_bash", "COMP_WORDS": " ".join(words)}
+        environment |= {"COMP_CWORD": str(len(words) - 1), "PYTHONPATH": str(ROOT)}
+        command = [sys.executable, "-c", "from gbid.cli.main import main; main()"]
+        done = subprocess.run(command, env=environment, cwd=tmp_path, capture_output=True, text=True, check=True)
+        return done.stdout.split()
+
+    assert offered("gbid", "sch") == ["schema"]
+    assert offered("gbid", "run", "ri") == ["rig1.yaml"]
+
+
+def test_export_writes_the_fits_of_an_experiment(spring, tmp_path, capsys):
+    for kind, ending in (("mat", "mat"), ("csv", "csv"), ("yaml", "yaml")):
+        assert gbid("export", spring, "--to", kind, "--output", tmp_path / kind, "--json") == 0
+        document = json.loads(capsys.readouterr().out)
+        assert document["left_out"] == []
+        files = [Path(p) for p in document["files"]]
+        assert all(p.is_file() for p in files)
+        assert {"spring_run1", "spring_run2"} <= {p.stem.removesuffix("_parameters") for p in files}
+        assert any(p.suffix == f".{ending}" for p in files)
+    assert gbid("export", spring, "--output", tmp_path / "mat") == 2
+    assert "exists already" in capsys.readouterr().err
+    assert gbid("export", spring, "--output", tmp_path / "mat", "--overwrite") == 0
+    data = loadmat(tmp_path / "mat" / "spring_run1.mat")
+    numbers = dict(
+        zip([str(n[0]) for n in data["parameter_name"].ravel()], data["parameter_value"].ravel(), strict=True)
+    )
+    assert data["A"][1, 0] == pytest.approx(-numbers["k"], rel=1e-12)
+
+
+def test_export_of_an_experiment_takes_its_lpv_models_along(spring, capsys):
+    results = spring.parent / "results" / "spring"
+    (results / "lpv").mkdir()
+    published = (ROOT / "models" / "theisen2016.yaml").read_text()
+    (results / "lpv" / "machine.yaml").write_text(published)
+    assert gbid("export", spring, "--overwrite") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert str(results / "export" / "machine.m") in lines
+    assert gbid("export", results / "fits" / "spring" / "run1.h5", "--output", results / "one") == 0
+    assert (results / "one" / "spring_run1.m").is_file()
+
+
+def test_export_says_what_it_cannot_do(tmp_path, capsys):
+    path = write_spring(tmp_path)
+    for arguments, code, words in (
+        ([path], 3, ("no models in", f"run `gbid run {path}` first")),
+        ([path, "--at", 6, 0], 2, ("--at is for an LPV model",)),
+        ([tmp_path / "nothing.yaml"], 2, ("no such file",)),
+        (["nothing"], 2, ("there are: theisen2016",)),
+        (["theisen2016", "--at", 9, 0, "--output", tmp_path], 2, ("domain",)),
+    ):
+        assert gbid("export", *arguments) == code, arguments
+        err = capsys.readouterr().err
+        assert all(word in err for word in words), err
+
+
+def test_export_of_a_model_at_a_point(tmp_path, capsys):
+    assert gbid("export", "theisen2016", "--at", 6, 0, "--to", "csv", "--output", tmp_path) == 0
+    names = sorted(Path(line).name for line in capsys.readouterr().out.splitlines())
+    kinds = ("bearing_matrices", "bearing_response", "plant_matrices", "plant_response")
+    assert names == [f"theisen2016_p6_n0_{kind}.csv" for kind in kinds]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text", "hint"),
+    [
+        (["run"], None, "check its name"),
+        (["check"], "fits: [", "correct it here"),
+        (["check"], "- 1\n", "write lines as"),
+        (["fit"], "format: 1\nname: a\nrig: {operating_points: [{pressure_bar: 5, speed_rpm: 0}]}\n", "add one"),
+        (["crossval"], "format: 1\nname: a\nrig: {operating_points: [{pressure_bar: 5, speed_rpm: 0}]}\n", "add one"),
+        (["import"], "format: 1\nname: a\nrig: {operating_points: [{pressure_bar: 5, speed_rpm: 0}]}\n", "add one"),
+    ],
+)
+def test_errors_end_in_what_to_do_next(arguments, text, hint, tmp_path, capsys):
+    path = tmp_path / "a.yaml"
+    if text is not None:
+        path.write_text(text)
+    assert gbid(*arguments, path) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("gbid: error: ")
+    assert hint in line.rpartition(";")[2], line

@@ -1,0 +1,312 @@
+"""Models in other libraries and programs: what arrives there is what was here."""
+
+from __future__ import annotations
+
+import csv
+import re
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import signal
+from scipy.io import loadmat
+
+import gbid
+from gbid.errors import UsageError
+from gbid.identify import FitResult
+from gbid.interchange import save_csv, save_mat, save_yaml
+from gbid.lpv.basis import TERMS
+from gbid.structure import KEY_PARAMETERS, LinearModel, evaluate
+from gbid.yaml_file import read_yaml
+
+FREQUENCY = np.array([1.0, 90.0, 126.6, 132.0, 700.0])
+
+
+def published(pade: int | None = None) -> LinearModel:
+    return gbid.load_model("theisen2016").at(6.0, 0.0, pade_order=pade)
+
+
+def exact(outputs: tuple[str, ...] = ("u", "p")) -> LinearModel:
+    """The published plant with exact delays: u prompt, p late."""
+    machine = gbid.load_model("theisen2016")
+    values = {**machine.actuators, **machine.key_parameters(6.0, 0.0)}
+    structure = gbid.Plant(gbid.RotorBearing(delay="exact", disturbance_gain="none"), outputs=outputs)
+    names = tuple(f"{letter}_{axis}" for letter in outputs for axis in "xy")
+    return evaluate(structure, values, ("r_x", "r_y"), names)
+
+
+def only_late() -> LinearModel:
+    machine = gbid.load_model("theisen2016")
+    structure = gbid.RotorBearing(delay="exact", disturbance_gain="none")
+    return evaluate(structure, machine.key_parameters(6.0, 0.0), ("u_x", "u_y"), ("p_x", "p_y"))
+
+
+def some_fit() -> FitResult:
+    model = replace(published(), K=np.arange(12.0).reshape(6, 2))
+    fields = dict.fromkeys(FitResult.__dataclass_fields__, None)
+    known = {
+        "structure": "rotor_bearing",
+        "recordings": ("run-1",),
+        "parameters": {"k_xx": -6e5, "tau_x[run-1]": 5e-4, "bd_xx": 0.0},
+        "std": {"k_xx": 120.0, "tau_x[run-1]": 1e-6, "bd_xx": float("nan")},
+        "units": {"k_xx": "N/(kg m)", "tau_x[run-1]": "s", "bd_xx": "1/s^2"},
+        "free": ("k_xx", "tau_x[run-1]"),
+        "covariance": np.diag([120.0**2, 1e-12]),
+        "initial_states": np.zeros((1, 6)),
+        "error_covariance": np.eye(2),
+        "fit_percent": np.array([[91.0, 92.0]]),
+        "status": "converged",
+        "success": True,
+        "model": model,
+        "sample_time": 2e-4,
+    }
+    return FitResult(**{**fields, **known})
+
+
+def response(A, B, C, D, frequency):
+    """Frequency response by its definition, one frequency at a time."""
+    eye = np.eye(len(A))
+    return np.array([C @ np.linalg.inv(2j * np.pi * f * eye - A) @ B + D for f in frequency])
+
+
+# --- scipy and python-control
+
+
+@pytest.mark.parametrize("dt", [None, 2e-4])
+def test_scipy_simulates_the_same(dt):
+    model = published() if dt is None else published().discretise(dt)
+    system = model.to_scipy()
+    assert system.dt == dt
+    assert isinstance(system, signal.StateSpace)
+    u = np.random.default_rng(1).standard_normal((300, 2))
+    time = 2e-4 * np.arange(300)
+    found = signal.lsim(system, u, time, interp=False)[1] if dt is None else signal.dlsim(system, u)[1]
+    expected = model.simulate(u, 2e-4)
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("dt", [None, 2e-4])
+def test_python_control_round_trip(dt):
+    control = pytest.importorskip("control", reason="python-control is not installed: pip install 'gbid[control]'")
+    model = published() if dt is None else published().discretise(dt)
+    system = model.to_control()
+    assert isinstance(system, control.StateSpace)
+    assert system.dt == (0 if dt is None else dt)
+    assert (system.input_labels, system.output_labels) == (["u_x", "u_y"], ["p_x", "p_y"])
+    s = 2j * np.pi * FREQUENCY
+    found = np.array([system(value if dt is None else np.exp(value * dt)) for value in s])
+    np.testing.assert_allclose(found, model.frequency_response(FREQUENCY), rtol=1e-8)
+    damping = sorted(control.damp(system, doprint=False)[1])[:4]
+    np.testing.assert_allclose(damping, sorted(2 * [z for _, z in model.modes()]), rtol=1e-7)
+    again = LinearModel.from_control(system)
+    for letter in "ABCD":
+        np.testing.assert_array_equal(getattr(again, letter), getattr(model, letter))
+    for field in ("dt", "name", "input_names", "output_names", "state_names"):
+        assert getattr(again, field) == getattr(model, field)
+    assert LinearModel.from_control(system, "mine").name == "mine"
+
+
+def test_python_control_closes_the_same_loop():
+    control = pytest.importorskip("control", reason="python-control is not installed: pip install 'gbid[control]'")
+    from gbid.control import p_controller
+
+    plant, controller = gbid.load_model("theisen2016").plant_at(6, 0), p_controller(1.125, 0.99)
+    ours = gbid.close_loop(plant, controller)
+    theirs = control.feedback(plant.to_control(), controller.to_control(), sign=1)
+    np.testing.assert_allclose(np.sort_complex(theirs.poles()), np.sort_complex(ours.poles()), rtol=1e-7)
+    assert not any("." in label for label in ours.to_control().state_labels)  # which python-control refuses
+
+
+def test_what_other_libraries_cannot_take_is_said(monkeypatch):
+    control = pytest.importorskip("control", reason="python-control is not installed: pip install 'gbid[control]'")
+    for convert in ("to_scipy", "to_control"):
+        with pytest.raises(UsageError, match=r"exact delays.*with_pade\(model, order\)"):
+            getattr(only_late(), convert)()
+        getattr(gbid.with_pade(only_late(), 2), convert)()
+    unclear = published().to_control()
+    unclear.dt = None
+    with pytest.raises(UsageError, match=r"dt = None.*set system.dt to 0"):
+        LinearModel.from_control(unclear)
+    with pytest.raises(UsageError, match=r"TransferFunction is no state-space system.*control.ss"):
+        LinearModel.from_control(control.tf([1], [1, 1]))
+    static = LinearModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]])
+    np.testing.assert_array_equal(static.to_control().D, [[2.0]])
+    np.testing.assert_array_equal(static.to_scipy().D, [[2.0]])
+    monkeypatch.setitem(sys.modules, "control", None)
+    with pytest.raises(UsageError, match=r"pip install 'gbid\[control\]'"):
+        published().to_control()
+
+
+# --- MATLAB
+
+
+def read(path):
+    return loadmat(path, squeeze_me=False, chars_as_strings=True)
+
+
+def texts(cell):
+    return [str(entry[0]) if entry.size else "" for entry in cell.ravel()]
+
+
+@pytest.mark.parametrize("make", [published, only_late, exact, lambda: exact(("p",))])
+def test_mat_file_holds_the_model_as_its_function_reads_it(make, tmp_path):
+    """The numbers that the function combines give the response: u enters at once and, late by its delay, once more."""
+    model = make()
+    mat, function = save_mat(model, tmp_path / "model.mat", units={model.input_names[0]: "m"})
+    data, text = read(mat), function.read_text()
+    late = data["B_delayed"] if data["B_delayed"].size else np.zeros_like(data["B"])
+    delay = data["delay"].ravel() if data["delay"].size else np.zeros(data["B"].shape[1])
+    shift = np.exp(-2j * np.pi * FREQUENCY[:, None] * delay)[:, None, :]
+    if "sys * [eye(n); eye(n)]" in text:
+        doubled = response(
+            data["A"], np.hstack([data["B"], late]), data["C"], np.hstack([data["D"], 0 * data["D"]]), FREQUENCY
+        )
+        n = data["B"].shape[1]
+        found = doubled[:, :, :n] + doubled[:, :, n:] * shift
+    else:
+        plain = response(data["A"], data["B"] + late, data["C"], data["D"], FREQUENCY)
+        found = plain * np.where(late.any(axis=0), shift, 1.0)
+    np.testing.assert_allclose(found, model.frequency_response(FREQUENCY), rtol=1e-7)
+    assert ("InputDelay" in text) == (model.delay is not None)
+    assert texts(data["InputName"]) == list(model.input_names)
+    assert texts(data["StateName"]) == list(model.state_names)
+    assert texts(data["InputUnit"]) == ["m", ""]
+    assert data["Ts"] == 0
+    check_matlab(text, data)
+
+
+def check_matlab(text, data):
+    """What can be seen without MATLAB: brackets and quotes close, blocks end, and each variable read is there."""
+    code = [line.split("%")[0] if "'" not in line else line for line in text.splitlines() if not line.startswith("%")]
+    for line in code:
+        assert line.count("'") % 2 == 0 or re.search(r"[\w)\]}]'", line), line
+        bare = re.sub(r"'[^'\n]*'", "", line)
+        for pair in ("()", "[]", "{}"):
+            assert bare.count(pair[0]) == bare.count(pair[1]), line
+    begun = sum(bool(re.match(r"\s*(function|if|for)\b", line)) for line in code)
+    assert begun == sum(line.strip() == "end" for line in code)
+    for name in re.findall(r"\bdata\.(\w+)", text):
+        assert name in data, name
+
+
+def test_mat_file_of_a_sampled_model_and_a_fit(tmp_path):
+    sampled = published().discretise(2e-4)
+    mat, function = save_mat(sampled, tmp_path / "sampled.mat")
+    assert read(mat)["Ts"] == 2e-4
+    assert function.read_text().startswith("function sys = sampled()\n")
+    fit = some_fit()
+    mat, function = save_mat(fit, tmp_path / "fitted.mat")
+    data, text = read(mat), function.read_text()
+    assert text.startswith("function [sys, fitted] = fitted()\n")
+    assert "idss(data.A, data.B, data.C, data.D, data.K" in text
+    check_matlab(text, data)
+    np.testing.assert_array_equal(data["K"], fit.model.K)
+    assert texts(data["InputUnit"]) == ["m", "m"]
+    assert dict(zip(texts(data["parameter_name"]), data["parameter_value"].ravel(), strict=True)) == fit.parameters
+    np.testing.assert_array_equal(data["parameter_std"].ravel(), list(fit.std.values()))
+    np.testing.assert_array_equal(data["covariance"], fit.covariance)
+    for late in (only_late(), exact()):
+        n, n_y = late.n_states, len(late.output_names)
+        mat, function = save_mat(replace(late, K=np.ones((n, n_y))), tmp_path / "late.mat", overwrite=True)
+        check_matlab(function.read_text(), read(mat))
+        assert "fitted.InputDelay" in function.read_text()
+
+
+def test_mat_file_of_an_lpv_model_gives_the_operating_points(tmp_path):
+    machine = gbid.load_model("theisen2016")
+    mat, function = save_mat(machine, tmp_path / "machine.mat")
+    data, text = read(mat), function.read_text()
+    check_matlab(text, data)
+    assert "numbers = data.coefficients * [1; P; W; W*P; P^2; W^2];" in text
+    assert TERMS == ("1", "P", "Omega", "Omega P", "P^2", "Omega^2")
+    names = texts(data["parameter_name"])
+    for P, W in ((3.0, 0.0), (6.0, 0.0), (7.0, 6000.0)):
+        values = dict(zip(names, data["coefficients"] @ [1, P, W, W * P, P**2, W**2], strict=True))
+        expected = machine.key_parameters(P, W)
+        assert set(values) == set(KEY_PARAMETERS)
+        np.testing.assert_allclose([values[key] for key in KEY_PARAMETERS], list(expected.values()), rtol=1e-12)
+    actuators = data["actuators"]
+    assert {name: float(actuators[name][0, 0][0, 0]) for name in actuators.dtype.names} == dict(machine.actuators)
+    np.testing.assert_array_equal(data["pressure_bar"], [machine.domain.pressure_bar])
+    bare = save_mat(replace(machine, actuators={}), tmp_path / "bare.mat")[1].read_text()
+    assert "plant" not in bare
+
+
+def test_mat_files_refuse_what_would_be_lost(tmp_path):
+    for name in ("6bar.mat", "a-b.mat", "a.b.mat"):
+        with pytest.raises(UsageError, match="no name for a MATLAB function; use letters"):
+            save_mat(published(), tmp_path / name)
+    with pytest.raises(UsageError, match=r"ends in \.mat"):
+        save_mat(published(), tmp_path / "model.m")
+    with pytest.raises(UsageError, match=r"no channel 'q' to give a unit; there is u_x, u_y, p_x, p_y"):
+        save_mat(published(), tmp_path / "model.mat", units={"q": "m"})
+    (tmp_path / "model.m").write_text("mine")
+    with pytest.raises(UsageError, match=r"model\.m exists already"):
+        save_mat(published(), tmp_path / "model.mat")
+    assert [p.name for p in tmp_path.iterdir()] == ["model.m"]
+    assert (tmp_path / "model.m").read_text() == "mine"
+
+
+# --- tables and YAML
+
+
+def rows(path):
+    with path.open(newline="") as handle:
+        return list(csv.reader(handle))
+
+
+def test_csv_of_matrices_reads_back_without_loss(tmp_path):
+    model = replace(exact(), K=np.ones((exact().n_states, 4)))
+    head, *entries = rows(save_csv(model, tmp_path / "model.csv"))
+    assert head == ["matrix", "row", "column", "row_name", "column_name", "value"]
+    found = {letter: np.zeros(getattr(model, letter).shape) for letter in ("A", "B", "C", "D", "K", "B_delayed")}
+    delay = np.zeros(2)
+    for letter, i, j, down, across, value in entries:
+        if letter == "delay":
+            delay[int(j) - 1] = float(value)
+            continue
+        found[letter][int(i) - 1, int(j) - 1] = float(value)
+        if letter == "C":
+            assert (down, across) == (model.output_names[int(i) - 1], model.state_names[int(j) - 1])
+    for letter, values in found.items():
+        np.testing.assert_array_equal(values, getattr(model, letter))
+    np.testing.assert_array_equal(delay, model.delay)
+
+
+def test_csv_of_responses_parameters_and_coefficients(tmp_path):
+    model = published()
+    head, *entries = rows(save_csv(model, tmp_path / "g.csv", frequency_hz=FREQUENCY))
+    assert head[:3] == ["frequency_hz", "magnitude p_x/u_x", "phase_deg p_x/u_x"]
+    table = np.array(entries, float)
+    g = model.frequency_response(FREQUENCY)[:, 1, 0]
+    column = head.index("magnitude p_y/u_x")
+    found = table[:, column] * np.exp(1j * np.deg2rad(table[:, column + 1]))
+    np.testing.assert_allclose(found, g, rtol=1e-12)
+    head, *entries = rows(save_csv(some_fit(), tmp_path / "fit.csv"))
+    assert head == ["parameter", "estimate", "std", "unit", "free"]
+    assert entries[0] == ["k_xx", "-600000.0", "120.0", "N/(kg m)", "yes"]
+    assert entries[2][2:] == ["nan", "1/s^2", "no"]
+    machine = gbid.load_model("theisen2016")
+    head, *entries = rows(save_csv(machine, tmp_path / "lpv.csv"))
+    assert head == ["parameter", "unit", *TERMS]
+    assert {row[0]: tuple(map(float, row[2:])) for row in entries} == dict(machine.coefficients)
+    with pytest.raises(UsageError, match="one operating point only"):
+        save_csv(machine, tmp_path / "no.csv", frequency_hz=FREQUENCY)
+    with pytest.raises(UsageError, match="exists already"):
+        save_csv(machine, tmp_path / "lpv.csv")
+
+
+def test_yaml_reads_back(tmp_path):
+    machine = gbid.load_model("theisen2016")
+    again = gbid.load_model(save_yaml(machine, tmp_path / "machine.yaml"))
+    assert again.coefficients == machine.coefficients
+    model = exact()
+    data = read_yaml(save_yaml(model, tmp_path / "model.yaml")).data
+    for letter in ("A", "B", "C", "D", "B_delayed", "delay"):
+        np.testing.assert_array_equal(np.array(data[letter]), getattr(model, letter))
+    fit = some_fit()
+    data = read_yaml(save_yaml(fit, tmp_path / "fit.yaml")).data
+    assert {name: entry["estimate"] for name, entry in data["parameters"].items()} == fit.parameters
+    assert data["parameters"]["bd_xx"]["std"] is None
+    np.testing.assert_array_equal(np.array(data["model"]["K"]), fit.model.K)
