@@ -11,54 +11,132 @@ from typing import TYPE_CHECKING, Any
 from gbid._version import __version__
 
 if TYPE_CHECKING:
-    from gbid.control import close_loop
-    from gbid.identify import FitResult, MultiStart, Progress, fit_multistart, load_fit, save_fit
+    from gbid.characterise import PiezoCurve, StaticMap, characterise_piezo, characterise_staircase
+    from gbid.control import (
+        GainResult,
+        ParetoFront,
+        Uncertainty,
+        assess,
+        close_loop,
+        compare_designs,
+        controller_structure,
+        load_controller,
+        maximise_damping,
+        pareto,
+        save_controller,
+        sensitivities,
+        tune,
+    )
+    from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
     from gbid.identify.fit import fit
-    from gbid.lpv import LPVModel, load_model
+    from gbid.interchange import save_csv, save_mat
+    from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, save_lpv_fit
+    from gbid.prefilter.align import align_index
+    from gbid.prefilter.compare import compare_runout
     from gbid.prefilter.identify_runout import identify_runout
+    from gbid.prefilter.online import OnlinePrefilter
     from gbid.prefilter.prefilter import prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording
     from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, with_pade
-    from gbid.validate import ResidualTest, check_residuals, cross_validate
+    from gbid.validate import (
+        NominalActuator,
+        ResidualTest,
+        ValidationScores,
+        ValidationSummary,
+        check_residuals,
+        cross_validate,
+        cross_validate_many,
+        nominal_actuator,
+        summarise,
+    )
 
 __all__ = [
     "FitResult",
+    "FitTable",
+    "GainResult",
+    "LPVFit",
     "LPVModel",
     "LinearModel",
     "LinearStructure",
     "MultiStart",
+    "NominalActuator",
+    "OnlinePrefilter",
     "Parameter",
+    "ParetoFront",
+    "PiezoCurve",
     "PiezoPair",
     "Plant",
     "Progress",
     "Recording",
     "ResidualTest",
     "RotorBearing",
+    "StaticMap",
+    "Uncertainty",
+    "ValidationScores",
+    "ValidationSummary",
     "__version__",
+    "align_index",
+    "assess",
+    "characterise_piezo",
+    "characterise_staircase",
     "check_residuals",
     "close_loop",
+    "compare_designs",
+    "compare_runout",
+    "controller_structure",
     "cross_validate",
+    "cross_validate_many",
     "fit",
+    "fit_lpv",
+    "fit_lpv_direct",
     "fit_multistart",
     "identify_runout",
     "import_recording",
+    "load_controller",
     "load_fit",
+    "load_lpv_fit",
     "load_model",
     "load_recording",
+    "load_table",
+    "maximise_damping",
+    "nominal_actuator",
+    "pareto",
     "prefilter",
+    "save_controller",
+    "save_csv",
     "save_fit",
+    "save_lpv_fit",
+    "save_mat",
     "save_recording",
+    "sensitivities",
+    "summarise",
+    "tune",
     "with_pade",
 ]
 
 _HOME = {
-    "control": ("close_loop",),
-    "identify": ("FitResult", "MultiStart", "Progress", "fit", "fit_multistart", "load_fit", "save_fit"),
-    "lpv": ("LPVModel", "load_model"),
-    "prefilter": ("identify_runout", "prefilter"),
+    "characterise": ("PiezoCurve", "StaticMap", "characterise_piezo", "characterise_staircase"),
+    "control": (
+        *("assess", "close_loop", "compare_designs", "controller_structure"),
+        *("load_controller", "save_controller", "sensitivities"),
+        *("GainResult", "ParetoFront", "Uncertainty", "maximise_damping", "pareto", "tune"),
+    ),
+    "identify": (
+        *("FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart"),
+        *("load_fit", "load_table", "save_fit"),
+    ),
+    "interchange": ("save_csv", "save_mat"),
+    "lpv": (
+        *("LPVFit", "LPVModel", "fit_lpv", "fit_lpv_direct"),
+        *("load_lpv_fit", "load_model", "save_lpv_fit"),
+    ),
+    "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter"),
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
     "structure": ("LinearModel", "LinearStructure", "Parameter", "PiezoPair", "Plant", "RotorBearing", "with_pade"),
-    "validate": ("ResidualTest", "check_residuals", "cross_validate"),
+    "validate": (
+        *("NominalActuator", "ResidualTest", "ValidationScores", "ValidationSummary"),
+        *("check_residuals", "cross_validate", "cross_validate_many", "nominal_actuator", "summarise"),
+    ),
 }
 _MODULES = {name: f"gbid.{package}" for package, names in _HOME.items() for name in names}
 

@@ -25,6 +25,10 @@ class DataError(GbidError, ValueError):
     exit_code = 3
 
 
+class NoSpaceError(DataError):
+    """The disk or the quota is full. Nothing that was complete is lost."""
+
+
 class NotConvergedError(GbidError):
     """A fit asked for by a command did not converge."""
 

@@ -1,10 +1,8 @@
-"""What all HDF5 files of gbid share: atomic writing, annotated datasets, checked reading."""
+"""What all HDF5 files of gbid share: writing, annotated datasets, checked reading."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,45 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid._version import __version__
-from gbid.errors import DataError, UsageError
+from gbid.atomic import atomic_path
+from gbid.errors import DataError
 
 SCHEMA_VERSION = 1
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
-    """Give a temporary path beside `path` that takes its place only when the block ends well.
-
-    Raises
-    ------
-    UsageError
-        When `path` exists and `overwrite` is not set; nothing is touched then.
-    DataError
-        When the folder or the file cannot be written.
-    """
-    try:
-        exists = path.exists()
-    except OSError as error:  # a name too long, a folder that may not be entered
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
-    if exists and not overwrite:
-        raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
-    os.close(handle)
-    part = Path(name)
-    try:
-        yield part
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)
-        part.replace(path)
-    except OSError as error:
-        raise DataError(f"{path}: cannot be written: {error.strerror or error}") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 @contextlib.contextmanager
@@ -69,15 +32,12 @@ def writing(path: str | Path, kind: str, overwrite: bool = False) -> Iterator[h5
     overwrite : bool
         Whether an existing file may be replaced.
     """
-    with atomic_path(Path(path), overwrite) as part:
-        with h5py.File(part, "w") as file:
-            file.attrs["gbid_kind"] = kind
-            file.attrs["schema_version"] = SCHEMA_VERSION
-            file.attrs["creator"] = f"gbid {__version__}"
-            file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
-            yield file
-        with part.open("rb") as handle:
-            os.fsync(handle.fileno())
+    with atomic_path(Path(path), overwrite) as part, h5py.File(part, "w") as file:
+        file.attrs["gbid_kind"] = kind
+        file.attrs["schema_version"] = SCHEMA_VERSION
+        file.attrs["creator"] = f"gbid {__version__}"
+        file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
+        yield file
 
 
 @contextlib.contextmanager

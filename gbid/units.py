@@ -36,6 +36,10 @@ SIGNALS: dict[str, SignalKind] = {
     "p": SignalKind("m", "lateral disc position", ("x", "y")),
     "phi": SignalKind("rad", "shaft angle", ("phi",)),
     "force": SignalKind("N", "impact force", ("force",)),
+    "f": SignalKind("N", "impact force along the axes", ("x", "y")),
+    "v": SignalKind("V", "voltage of each piezo stack", ("1", "2", "3", "4")),
+    "y_p": SignalKind("m", "position of each piezo stack", ("1", "2", "3", "4")),
+    "r_p": SignalKind("m", "position reference of each piezo stack", ("1", "2", "3", "4")),
 }
 """The signals of the test rig (paper, Secs. 2 and 3.4)."""
 

@@ -60,24 +60,23 @@ def read_yaml(path: Path) -> YamlFile:
     try:
         text = path.read_text(encoding="utf-8")
     except FileNotFoundError:
-        raise UsageError(f"{path}: no such file") from None
+        raise UsageError(f"{path}: no such file; check its name and folder") from None
     except UnicodeDecodeError as error:
-        raise UsageError(f"{path}: not a text file in UTF-8: {error.reason}") from None
+        raise UsageError(f"{path}: not a text file in UTF-8: {error.reason}; save it as UTF-8") from None
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read: {error.strerror or error}") from None
+        raise UsageError(f"{path}: cannot be read: {error.strerror or error}; give a file that can") from None
     try:
         tree = YAML(typ="rt").load(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
         problem = " ".join(str(error.problem or error.context or "not YAML").split())
-        raise UsageError(f"{where}: not valid YAML: {problem}") from None
+        raise UsageError(f"{where}: not valid YAML: {problem}; correct it here or on the line before") from None
     except (YAMLError, ValueError) as error:
-        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}") from None
+        raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}; correct it") from None
     if not isinstance(tree, CommentedMap):
-        raise UsageError(
-            f"{path}:1:1: expected keys with values, found {'nothing' if tree is None else type(plain(tree)).__name__}"
-        )
+        found = "nothing" if tree is None else type(plain(tree)).__name__
+        raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
     return YamlFile(path, plain(tree), tree)
 
 

@@ -143,8 +143,11 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         "experiment",
         "results",
         "prefilter",
+        "static",
         "fits",
         "crossval",
+        "crossval_summary",
+        "nominal",
         "figures",
         "outcomes",
     }

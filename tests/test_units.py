@@ -53,5 +53,5 @@ def test_offset_scales_are_refused():
 
 
 def test_units_of_known_signals_are_si():
-    base = {"m", "rad", "N"}
+    base = {"m", "rad", "N", "V"}
     assert {kind.unit for kind in SIGNALS.values()} == base

@@ -29,7 +29,7 @@ def lpv(
         with reporting() as reporter:
             job = Job(loaded, overwrite, reporter)
             outcomes = draw_surfaces(job)
-        documents = lpv_documents(loaded, outcomes, made_surfaces(job, outcomes))
+        documents = lpv_documents(loaded, outcomes, made_surfaces(outcomes))
         if as_json:
             print_json({"lpv": documents, "outcomes": outcome_rows(outcomes)})
         else:

@@ -58,7 +58,7 @@ def run(
         filtered, summaries = prefilter_documents(outcomes), summary_documents(made)
         central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
         static = static_documents(job, outcomes)
-        models = lpv_documents(loaded, surfaces, made_surfaces(job, surfaces))
+        models = lpv_documents(loaded, surfaces, made_surfaces(surfaces))
         figures = [str(o.path) for o in drawn if o.state != "failed"]
         if as_json:
             print_json(

@@ -5,18 +5,20 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator
 
-from gbid.errors import DataError, GbidError, UsageError
-from gbid.experiment.checks_fits import FIT_CHECKS
+from gbid.errors import DataError, UsageError
+from gbid.experiment.checks_fits import FIT_CHECKS, structure_or_none
+from gbid.experiment.checks_lpv import surfaces_can_be_drawn
 from gbid.experiment.checks_options import OPTION_CHECKS
+from gbid.experiment.checks_rig import RIG_CHECKS
+from gbid.experiment.checks_static import static_makes_sense
 from gbid.experiment.load import Experiment
-from gbid.experiment.pairs import validation_pairs
+from gbid.experiment.pairs import SPECIAL, validation_pairs
 from gbid.experiment.plan import planned_recordings
 from gbid.experiment.problems import Location, nearest
-from gbid.experiment.sources import data_file, machine_at, mapping_of, rig_experiment
-from gbid.experiment.structures import rig_model
+from gbid.experiment.sources import data_file, mapping_of
 from gbid.recording import ImportMapping
 from gbid.recording.importers.importing import READERS
-from gbid.rig.excitation import whole_samples
+from gbid.validate.central import ACTUATOR
 
 Found = Iterator[tuple[Location, str]]
 Check = Callable[[Experiment], Found]
@@ -41,63 +43,20 @@ def has_recordings(experiment: Experiment) -> Found:
     spec = experiment.spec
     if spec.rig is None and spec.imported is None:
         yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
-    elif not experiment.recordings:
+    elif spec.rig is not None and not experiment.recordings:
         yield ("rig",), "makes no recordings; set recordings of prbs or stationary to at least 1"
 
 
 def names_are_unique(experiment: Experiment) -> Found:
     """No two recordings share a name."""
-    planned = list(planned_recordings(experiment.spec))
+    planned = list(planned_recordings(experiment.spec, experiment.imports.files))
     counts = Counter(q.name for q in planned)
     seen: set[str] = set()
     for q in planned:
         if counts[q.name] > 1 and q.name in seen:
-            where = (*q.location, "name") if q.imported else q.location
+            where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
             yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"
         seen.add(q.name)
-
-
-def rig_runs(experiment: Experiment) -> Found:
-    """Rig: its model loads and holds at each operating point; times are whole samples."""
-    rig = experiment.spec.rig
-    if rig is None:
-        return
-    try:
-        model = rig_model(experiment)
-    except GbidError as error:
-        yield ("rig", "model"), str(error)
-        return
-    if not model.actuators:
-        yield ("rig", "model"), f"model {model.name!r} has no actuators; the rig needs them"
-        return
-    inside = True
-    for i, point in enumerate(rig.operating_points):
-        for key in ("pressure_bar", "speed_rpm"):
-            value, (low, high) = getattr(point, key), getattr(model.domain, key)
-            if not low <= value <= high:
-                inside = False
-                yield (
-                    ("rig", "operating_points", i, key),
-                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
-                )
-    for location, seconds in (
-        (("rig", "duration_s"), rig.duration_s),
-        (("rig", "prbs", "hold_s"), rig.prbs.hold_s),
-        (("rig", "stationary", "duration_s"), rig.stationary.duration_s),
-    ):
-        if seconds is not None:
-            try:
-                whole_samples(str(location[-1]), seconds, rig.sample_time_s)
-            except UsageError as error:
-                yield location, str(error)
-    for planned in experiment.recordings.values():
-        if inside and planned.imported is None:
-            try:
-                machine_at(experiment, planned, model).rotor_bearing.check_stable()
-                rig_experiment(experiment, planned)
-            except UsageError as error:
-                yield ("rig",), str(error)
-                return
 
 
 def data_can_be_read(experiment: Experiment) -> Found:
@@ -108,17 +67,24 @@ def data_can_be_read(experiment: Experiment) -> Found:
     folder = experiment.folder / section.data_folder
     if not folder.is_dir():
         yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
-    for i, entry in enumerate(section.recordings):
-        here: Location = ("import", "recordings", i)
+    yield from experiment.imports.problems
+    told: set[str] = set()
+    for found in experiment.imports.files:
+        entry, here = found.entry, found.location
         path = data_file(experiment, entry)
+        listed = "recordings" in here
+        if not listed and str(here) in told:
+            continue  # all files of a folder share one mapping
+        told.add(str(here))
+        here_file = (*here, "file") if listed else here
         if path.suffix.lower() not in READERS:
-            yield (*here, "file"), f"unknown ending {path.suffix!r}; expected one of {', '.join(READERS)}"
+            yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(READERS)}"
         elif folder.is_dir() and not path.is_file():
-            yield (*here, "file"), f"no file {path}"
+            yield here_file, f"no file {path}; put it there, or correct the name or data_folder"
         try:
             ImportMapping.from_dict(mapping_of(entry))
         except (UsageError, DataError) as error:
-            yield here, str(error)
+            yield here if listed else here[:2], str(error)
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
@@ -130,10 +96,11 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
         yield ("prefilter", "median"), f"{section.median} is even; give an odd size, 1 for no median"
     for planned in experiment.recordings.values():
         if planned.excited and "p" not in planned.signals:
-            yield planned.location, f"recording {planned.name!r} has no signal p, which the prefilter works on"
+            text = f"recording {planned.name!r} has no signal p, which the prefilter works on"
+            yield planned.location, f"{text}; name one so, or remove the section prefilter"
     if section.method == "none":
         return
-    still = {q.point for q in experiment.recordings.values() if not q.excited}
+    still = {q.point for q in experiment.recordings.values() if q.stationary}
     told: set[str] = set()
     for planned in experiment.recordings.values():
         if planned.excited and planned.point not in still | told:
@@ -151,7 +118,10 @@ def crossval_has_partners(experiment: Experiment) -> Found:
         if name not in experiment.spec.fits:
             yield ("crossval", name), f"no fit of this name; {nearest(name, experiment.spec.fits)}"
             continue
-        special = [word for word in section.on if word in ("cyclic", "others")]
+        if f"{name}_summary" in experiment.spec.crossval:
+            text = f"its file {name}_summary.csv is that of the summary of {name}; rename one of the two fits"
+            yield ("crossval", f"{name}_summary"), text
+        special = [word for word in section.on if word in SPECIAL]
         if special and len(section.on) > 1:
             yield ("crossval", name, "on"), f"{special[0]} stands alone; list names or write {special[0]} only"
             continue
@@ -164,12 +134,32 @@ def crossval_has_partners(experiment: Experiment) -> Found:
                     )
             continue
         if experiment.spec.fits[name].together and special == ["cyclic"]:
-            yield ("crossval", name, "on"), "cyclic needs a fit per recording; write others or name recordings"
+            text = "cyclic needs a fit per recording; write others or point, or name recordings"
+            yield ("crossval", name, "on"), text
             continue
         pairs = validation_pairs(experiment, name)
         for model in dict.fromkeys(model for model, _ in pairs):
             if not any(m == model and recording for m, recording in pairs):
-                yield ("crossval", name, "on"), f"no other recording for {model!r} at its operating point; name some"
+                where = "" if special == ["others"] else " at its operating point"
+                yield ("crossval", name, "on"), f"no other recording for {model!r}{where}; name some"
+                break
+
+
+def nominal_is_an_actuator(experiment: Experiment) -> Found:
+    """Nominal: its fit exists, has its parameters, and gives several models."""
+    section = experiment.spec.nominal
+    if section is None:
+        return
+    where: Location = ("nominal", "fit")
+    if section.fit not in experiment.spec.fits:
+        yield where, f"no fit of this name; {nearest(section.fit, experiment.spec.fits)}"
+        return
+    if experiment.spec.fits[section.fit].together:
+        yield where, f"{section.fit} is one model for all recordings; name a fit per recording"
+    structure = structure_or_none(experiment, section.fit)
+    missing = [n for n in ACTUATOR if n not in {q.name for q in structure.parameters}] if structure else []
+    if missing:
+        yield where, f"{section.fit} has no parameters {', '.join(missing)}; name a fit of piezo_pair or plant"
 
 
 def figures_show_fits(experiment: Experiment) -> Found:
@@ -179,24 +169,27 @@ def figures_show_fits(experiment: Experiment) -> Found:
             yield ("figures", name), f"no fit of this name; {nearest(name, experiment.spec.fits)}"
         begin = section.from_s or 0.0
         if section.to_s is not None and section.to_s <= begin:
-            yield ("figures", name, "to_s"), f"{section.to_s:g} s is not after from_s = {begin:g} s"
+            yield ("figures", name, "to_s"), f"{section.to_s:g} s is not after from_s = {begin:g} s; make it larger"
         rig = experiment.spec.rig
         if rig is not None and experiment.spec.imported is None and begin >= rig.duration_s:
             yield (
                 ("figures", name, "from_s"),
-                f"{begin:g} s lies beyond the end of the recordings, {rig.duration_s:g} s",
+                f"{begin:g} s lies beyond the end of the recordings, {rig.duration_s:g} s; make it smaller",
             )
 
 
 CHECKS: tuple[Check, ...] = (
     has_recordings,
     names_are_unique,
-    rig_runs,
+    *RIG_CHECKS,
     data_can_be_read,
     runout_maps_can_be_made,
+    static_makes_sense,
     *FIT_CHECKS,
     *OPTION_CHECKS,
     crossval_has_partners,
+    nominal_is_an_actuator,
+    surfaces_can_be_drawn,
     figures_show_fits,
 )
 """All checks, in the order of the file's sections."""

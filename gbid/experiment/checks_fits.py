@@ -71,7 +71,7 @@ def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter])
         where = ("fits", name, "bounds", parameter)
         lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
         if not lower < upper:
-            yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}"
+            yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
         elif parameter in known:
             start = section.start.get(parameter, known[parameter].start)
             if start is not None and not lower <= start <= upper:

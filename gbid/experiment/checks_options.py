@@ -53,7 +53,7 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
         if not isinstance(state, str) and len(state) != matrices.A.shape[0]:
             yield (
                 ("fits", name, "initial_state"),
-                f"{len(state)} numbers for the {matrices.A.shape[0]} states of {structure.name}",
+                f"{len(state)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
             )
 
 
@@ -88,9 +88,12 @@ def stretches_left_out_exist(experiment: Experiment) -> Found:
                 continue
             for i, (begin, end) in enumerate(stretches):
                 if end <= begin:
-                    yield (*where, i), f"{end:g} s is not after {begin:g} s"
+                    yield (*where, i), f"{end:g} s is not after {begin:g} s; make it larger"
                 elif rig is not None and used[recording].imported is None and end > rig.duration_s:
-                    yield (*where, i), f"{end:g} s lies beyond the end of the recording, {rig.duration_s:g} s"
+                    yield (
+                        (*where, i),
+                        f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there",
+                    )
         known = _matrices(experiment, name)
         if known is not None and section.left_out and section.horizon > 1 and section.focus == "prediction":
             p, matrices, structure = known

@@ -14,8 +14,8 @@ from typing import Any
 import h5py
 
 from gbid._version import __version__
+from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
-from gbid.hdf5 import atomic_path
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files hold ``content_key: <key>`` in a comment."""

@@ -13,6 +13,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from gbid.errors import UsageError
+from gbid.experiment.folders import FoundFiles, find_files
 from gbid.experiment.plan import PlannedRecording, planned_recordings
 from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
 from gbid.experiment.schema import ExperimentFile
@@ -45,7 +46,30 @@ class Experiment:
     @cached_property
     def recordings(self) -> Mapping[str, PlannedRecording]:
         """Recordings that the rig makes or the import reads, by name."""
-        return {planned.name: planned for planned in planned_recordings(self.spec)}
+        return {planned.name: planned for planned in planned_recordings(self.spec, self.imports.files)}
+
+    @cached_property
+    def imports(self) -> FoundFiles:
+        """Files that the import section names or finds in its folder, as they are when first asked for."""
+        section = self.spec.imported
+        return find_files(section, self.folder) if section is not None else FoundFiles((), ())
+
+    @cached_property
+    def points(self) -> Mapping[str, list[PlannedRecording]]:
+        """Recordings by operating point."""
+        found: dict[str, list[PlannedRecording]] = {}
+        for planned in self.recordings.values():
+            found.setdefault(planned.point, []).append(planned)
+        return found
+
+    @cached_property
+    def fits_of(self) -> Mapping[str, list[str]]:
+        """Names of the fits that a recording is used in, by its name."""
+        found: dict[str, list[str]] = {}
+        for fit in self.spec.fits:
+            for planned in self.fit_recordings(fit):
+                found.setdefault(planned.name, []).append(fit)
+        return found
 
     def matching(self, patterns: tuple[str, ...]) -> list[PlannedRecording]:
         """List recordings whose names match any of the patterns, in the experiment's order."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from gbid.experiment.load import Experiment
 
+SPECIAL = ("cyclic", "others", "point")
+"""Words for the recordings of a cross-validation."""
 TOGETHER = "together"
 """Name of the one model of a fit to all its recordings together."""
 
@@ -16,11 +18,18 @@ def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
     return {name: [name] for name in names}
 
 
+def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
+    """Recordings that one model of a fit is fitted to."""
+    if experiment.spec.fits[fit].together:
+        return [q.name for q in experiment.fit_recordings(fit)]
+    return [model]
+
+
 def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
     """Pairs of model and recording of a fit's cross-validation.
 
     ``cyclic``: model j on recording j + 1 of the same operating point, the last on the first. ``others``: each
-    model on all other excited recordings of its operating points. Names: each model on these.
+    model on all other excited recordings. ``point``: on those of its operating points. Names: each model on these.
 
     Returns
     -------
@@ -30,14 +39,13 @@ def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
     models, on = fit_models(experiment, fit), experiment.spec.crossval[fit].on
     if on == ("cyclic",):
         return [(model, _next(experiment, model, list(models))) for model in models]
-    if on == ("others",):
+    if on in (("others",), ("point",)):
+        excited = [q for q in experiment.recordings.values() if q.excited]
         pairs = []
         for model, used in models.items():
-            points = {experiment.recordings[name].point for name in used}
-            others = [
-                q.name for q in experiment.recordings.values() if q.excited and q.point in points and q.name not in used
-            ]
-            pairs += [(model, name) for name in others or [""]]
+            taken, points = set(used), {experiment.recordings[name].point for name in used}
+            there = [q.name for q in excited if q.name not in taken and (on == ("others",) or q.point in points)]
+            pairs += [(model, name) for name in there or [""]]
         return pairs
     return [(model, q.name) for model in models for q in experiment.matching(on)]
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
+from gbid.experiment.folders import FoundFile
 from gbid.experiment.problems import Location
-from gbid.experiment.schema import ExperimentFile, ImportedSection, OperatingPoint, RigSection
+from gbid.experiment.schema import ExperimentFile
+from gbid.experiment.schema_import import ImportedSection
+from gbid.experiment.schema_rig import OperatingPoint, RigSection
 from gbid.units import SIGNALS
 
 RIG_SIGNALS = {name: SIGNALS[name].channels for name in ("r", "u", "p", "phi")}
 """Signals of the virtual rig and their channels."""
+
+_STACK_SIGNALS = {name: SIGNALS[name].channels for name in ("y_p", "v", "r_p")}
+_EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"].channels}}
 
 
 @dataclass(frozen=True)
@@ -30,6 +36,10 @@ class PlannedRecording:
         Where the YAML asks for it.
     imported : ImportedSection or None
         How to read it; None for a recording of the rig.
+    staircase : bool
+        Whether it is for the static characterisation only: not for fits, not for run-out maps.
+    run : tuple
+        What the rig does, ``("prbs",)`` or ``("hammer", "x")`` for example; empty for a file.
     """
 
     name: str
@@ -38,6 +48,20 @@ class PlannedRecording:
     signals: Mapping[str, tuple[str, ...]]
     location: Location
     imported: ImportedSection | None = None
+    staircase: bool = False
+    run: tuple[str | int | bool, ...] = ()
+
+    @property
+    def kind(self) -> str:
+        """``excited``, ``stationary``, ``staircase``, or what else the rig does (``hammer``, ``run_up``)."""
+        if self.excited or self.staircase:
+            return "excited" if self.excited else "staircase"
+        return "stationary" if self.stationary else str(self.run[0])
+
+    @property
+    def stationary(self) -> bool:
+        """Whether the piezos are still, so that run-out maps can be made of it."""
+        return not self.excited and not self.staircase and self.run[:1] in ((), ("stationary",))
 
     @property
     def point(self) -> str:
@@ -47,30 +71,52 @@ class PlannedRecording:
         return "_".join(parts) or "any"
 
 
-def planned_recordings(spec: ExperimentFile) -> Iterator[PlannedRecording]:
-    """List the recordings, those of the rig first; names may still occur twice."""
+def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) -> Iterator[PlannedRecording]:
+    """List the recordings, those of the rig first, then those of files; names may still occur twice."""
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
             yield from _of_rig(spec.rig, point, ("rig", "operating_points", i))
-    if spec.imported is not None:
-        for i, entry in enumerate(spec.imported.recordings):
-            yield PlannedRecording(
-                entry.name,
-                entry.kind == "excited",
-                entry.conditions,
-                {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()},
-                ("import", "recordings", i),
-                entry,
-            )
+    for found in files:
+        entry = found.entry
+        yield PlannedRecording(
+            entry.name,
+            entry.kind == "excited",
+            entry.conditions,
+            {name: _channels(name, len(c.columns), c.channels) for name, c in entry.signals.items()},
+            found.location,
+            entry,
+            entry.kind == "staircase",
+        )
 
 
 def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Iterator[PlannedRecording]:
     conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
     label = f"p{point.pressure_bar:g}_n{point.speed_rpm:g}"
-    for i in range(rig.stationary.recordings):
-        yield PlannedRecording(f"{label}_still{i + 1}", False, conditions, RIG_SIGNALS, location)
-    for i in range(rig.prbs.recordings):
-        yield PlannedRecording(f"{label}_prbs{i + 1}", True, conditions, RIG_SIGNALS, location)
+    signals = {**RIG_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
+
+    def planned(word: str, count: int, run: tuple[str | int | bool, ...]) -> Iterator[PlannedRecording]:
+        held = {**signals, **_EXTRA_SIGNALS.get(str(run[0]), {})}
+        stairs = run[0] in ("staircase", "stack_staircase")
+        for i in range(count):
+            name = f"{label}_{word}{i + 1}"
+            yield PlannedRecording(name, run[0] == "prbs", conditions, held, location, None, stairs, run)
+
+    yield from planned("still", rig.stationary.recordings, ("stationary",))
+    prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
+    yield from planned("prbs", prbs, ("prbs",))
+    if rig.staircase is not None:
+        for axis in rig.staircase.axes:
+            yield from planned(f"stairs_{axis}", rig.staircase.recordings, ("staircase", axis))
+    if rig.stack_staircase is not None:
+        for stack in rig.stack_staircase.stacks:
+            for controlled in rig.stack_staircase.controlled:
+                word = f"stack{stack}_{'controlled' if controlled else 'open'}"
+                yield from planned(word, rig.stack_staircase.recordings, ("stack_staircase", stack, controlled))
+    if rig.hammer is not None:
+        for axis in rig.hammer.axes:
+            yield from planned(f"hammer_{axis}", rig.hammer.recordings, ("hammer", axis))
+    if rig.run_up is not None:
+        yield from planned("runup", rig.run_up.recordings, ("run_up",))
 
 
 def _channels(signal: str, count: int, given: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field, Strict
+from pydantic import BeforeValidator, Field, Strict, WithJsonSchema
 
 from gbid.experiment.fields import (
     Count,
@@ -81,7 +81,11 @@ class FitSection(Section):
     criterion: Literal["trace", "det"] = "trace"
     horizon: Count = 1
     output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
-    window: Annotated[int | Literal["auto"] | None, BeforeValidator(_window)] = "auto"
+    window: Annotated[
+        int | Literal["auto"] | None,
+        BeforeValidator(_window),
+        WithJsonSchema({"anyOf": [{"enum": ["auto", "one"]}, {"type": "integer", "minimum": 2}]}),
+    ] = "auto"
     stop: Literal["tolerance", "paper"] = "tolerance"
     max_iterations: Count = 100
     engine: Literal["auto", "compiled", "numpy"] = "auto"
@@ -91,9 +95,13 @@ class FitSection(Section):
     prior: dict[Text, PriorSection] = Field(default_factory=dict)
     local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
     offsets: Switch = False
-    initial_state: Annotated[Literal["estimated", "zero"] | tuple[float, ...], BeforeValidator(_initial_state)] = (
-        "estimated"
-    )
+    initial_state: Annotated[
+        Literal["estimated", "zero"] | tuple[float, ...],
+        BeforeValidator(_initial_state),
+        WithJsonSchema(
+            {"anyOf": [{"enum": ["estimated", "zero"]}, {"type": "array", "items": {"type": "number"}, "minItems": 1}]}
+        ),
+    ] = "estimated"
     left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(
         default_factory=dict
     )

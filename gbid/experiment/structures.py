@@ -16,8 +16,18 @@ from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.problems import nearest
 from gbid.experiment.schema_fits import StructureOptions
 from gbid.lpv import LPVModel, load_model
+from gbid.rig import RotorBearingTruth, scatter_random, scattered
 from gbid.share import share_folder
-from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, Structure, evaluate, load_structure
+from gbid.structure import (
+    KEY_PARAMETERS,
+    LinearModel,
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    Structure,
+    evaluate,
+    load_structure,
+)
 
 
 def _rotor_bearing(options: dict[str, Any]) -> Structure:
@@ -64,7 +74,7 @@ def make_structure(experiment: Experiment, fit: str) -> Structure:
         hint = nearest(spec.structure, BUILT_IN)
         raise UsageError(f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)")
     if options:
-        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none")
+        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them")
     return load_structure(spec.structure, _folder_of(experiment, spec.structure.rpartition(":")[0]))
 
 
@@ -114,8 +124,24 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: St
     points = {tuple(sorted(q.conditions.items())) for q in planned}
     if len(points) != 1 or any(q.imported for q in planned) or not _is_built_in(structure):
         return {}
-    known = true_parameters(rig_model(experiment), planned[0])
+    known = _as_drawn(experiment, planned)
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
+
+
+def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
+    """Give what is true of all these recordings: scatter moves each rotor, nonlinear stacks have no Table 2."""
+    rig = experiment.spec.rig
+    assert rig is not None
+    known = true_parameters(rig_model(experiment), planned[0])
+    if rig.actuators.kind == "stacks":
+        known = {name: value for name, value in known.items() if name in KEY_PARAMETERS}
+    if rig.scatter is None:
+        return known
+    if len({q.name for q in planned}) > 1:
+        return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
+    random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
+    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter.as_scatter(), random)
+    return {**known, **drawn.key_parameters()}
 
 
 def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:

@@ -5,19 +5,27 @@ from gbid.identify.fit import fit
 from gbid.identify.multistart import MultiStart, fit_multistart
 from gbid.identify.result import FitResult
 from gbid.identify.store import load_fit, save_fit
+from gbid.identify.table import FitTable
+from gbid.identify.table_store import load_table, save_table
+from gbid.identify.tabulate import TableEntry, tabulate
 from gbid.identify.watch import Progress
 from gbid.identify.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [
     "FitResult",
+    "FitTable",
     "MultiStart",
     "Progress",
+    "TableEntry",
     "Whiteness",
     "correlation",
     "fit",
     "fit_multistart",
     "load_fit",
+    "load_table",
     "save_fit",
+    "save_table",
     "select",
+    "tabulate",
     "whiteness_test",
 ]

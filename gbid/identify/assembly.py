@@ -17,6 +17,7 @@ from gbid.identify.data import FitData, Record
 from gbid.identify.engine import EngineName, choose_engine
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
 from gbid.identify.shooting import Part
+from gbid.identify.ties import Ties, tie_of
 from gbid.structure import Parameter, Structure, evaluate
 
 FloatArray = npt.NDArray[np.float64]
@@ -75,10 +76,12 @@ def assemble(
     left_out: Mapping[str, Sequence[tuple[int, int]]],
     window: int | None,
     engine: EngineName,
+    ties: Ties | None = None,
 ) -> Assembly:
     """Assemble a fit.
 
-    Parameters are those of `gbid.fit`; `parameters` and `begin` have its starts, bounds and fixed values in.
+    Parameters are those of `gbid.fit`; `parameters` and `begin` have its starts, bounds and fixed values in. With
+    `ties`, parameters of the structure are linear in further, shared unknowns, which are then the first of `free`.
 
     Raises
     ------
@@ -104,8 +107,15 @@ def assemble(
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
     if scopes or left_out:
         _check_names(data)
-    record_names = tuple(_full_names(predictor, record, scopes, len(data.records)) for record in data.records)
-    free = _all_free(predictor, record_names)
+    tied = frozenset(ties.names) if ties else frozenset()
+    record_names = tuple(_full_names(predictor, record, scopes, len(data.records), tied) for record in data.records)
+    free = _all_free(predictor.free, record_names)
+    if ties is not None:
+        _check_names(data)
+        record_names = tuple(
+            {**names, **ties.own_names(record.name)} for names, record in zip(record_names, data.records, strict=True)
+        )
+        free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
     pieces = [_pieces(record, left_out.get(record.name, ()), predictor) for record in data.records]
@@ -115,11 +125,14 @@ def assemble(
     gap_predictor = predictor_for("simulation") if any(p.is_gap for record in pieces for p in record) else None
 
     builder = _Builder(window, begin, engine)
-    for names, record in zip(record_names, pieces, strict=True):
+    for i, (names, record) in enumerate(zip(record_names, pieces, strict=True)):
         for piece in record:
             chosen = gap_predictor if piece.is_gap and gap_predictor is not None else predictor
-            index = tuple(position[names[q.name]] for q in chosen.free)
-            builder.add(chosen, index, piece.piece)
+            if ties is None:
+                builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), piece.piece)
+            else:
+                index, tie = tie_of(chosen, names, position, ties, i)
+                builder.add(chosen, index, piece.piece, tie)
     parts, windows = builder.build()
     return Assembly(
         parts,
@@ -175,21 +188,25 @@ def group_name(record: Record, scope: Scope) -> str:
     return f"{pressure:g} bar, {speed:g} rpm"
 
 
-def _full_names(predictor: Predictor, record: Record, scopes: Mapping[str, Scope], n_records: int) -> dict[str, str]:
+def _full_names(
+    predictor: Predictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
+) -> dict[str, str]:
     names = {}
     for q in predictor.free:
+        if q.name in tied:
+            continue
         scope = scopes.get(q.name)
         names[q.name] = q.name if scope is None or n_records == 1 else f"{q.name}[{group_name(record, scope)}]"
     return names
 
 
-def _all_free(predictor: Predictor, record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
+def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
     """Shared parameters once, local ones once for each group, in the structure's order."""
     found: dict[str, Parameter] = {}
-    for q in predictor.free:
+    for q in parameters:
         for names in record_names:
-            full = names[q.name]
-            if full not in found:
+            full = names.get(q.name)
+            if full is not None and full not in found:
                 found[full] = q if full == q.name else _renamed(q, full)
     return tuple(found.values())
 
@@ -272,19 +289,22 @@ def offset_starts(
     return starts
 
 
+_Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and how they are tied
+
+
 class _Builder:
     """Collects pieces of the same predictor and parameters, and cuts them together."""
 
     def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
         self._window, self._begin, self._engine = window, begin, engine
-        self._groups: dict[tuple[int, tuple[int, ...]], tuple[Predictor, list[Piece]]] = {}
-        self._order: list[tuple[tuple[int, tuple[int, ...]], int]] = []
+        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Piece]]] = {}
+        self._order: list[tuple[_Key, int]] = []
         self.engine_name = ""
         self.notes: list[str] = []
 
-    def add(self, predictor: Predictor, index: tuple[int, ...], piece: Piece) -> None:
-        key = (id(predictor), index)
-        _, pieces = self._groups.setdefault(key, (predictor, []))
+    def add(self, predictor: Predictor, index: tuple[int, ...], piece: Piece, tie: FloatArray | None = None) -> None:
+        key = (id(predictor), index, b"" if tie is None else tie.tobytes())
+        _, _, pieces = self._groups.setdefault(key, (predictor, tie, []))
         self._order.append((key, len(pieces)))
         pieces.append(piece)
 
@@ -293,18 +313,19 @@ class _Builder:
         parts, windows_of = [], {}
         engines: dict[int, object] = {}
         base = 0
-        for (predictor_id, index), (predictor, pieces) in self._groups.items():
+        for key, (predictor, tie, pieces) in self._groups.items():
+            predictor_id, index, _ = key
             if predictor_id not in engines:
                 chosen = choose_engine(self._engine, self._samples(predictor))
                 engines[predictor_id] = chosen.run
                 self.engine_name = chosen.name
                 self.notes += [chosen.note] if chosen.note else []
             blocks = cut(pieces, predictor, self._window)
-            part = Part(predictor, blocks, np.array(index), engines[predictor_id])  # type: ignore[arg-type]
+            part = Part(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
             parts.append(part)
             ends = np.append(blocks.piece_first[1:], blocks.n_windows) - 1
             for i, (a, b) in enumerate(zip(blocks.piece_first, ends, strict=True)):
-                windows_of[(predictor_id, index), i] = (base + int(a), base + int(b))
+                windows_of[key, i] = (base + int(a), base + int(b))
             base += blocks.n_windows
         return tuple(parts), [windows_of[item] for item in self._order]
 

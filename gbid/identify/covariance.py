@@ -103,7 +103,7 @@ def covariance(
     H = (first.hessian + np.diag(known))[kept]
     J_white = (second.hessian + np.diag(known * unit))[kept]
     lag = max(1, round(3 * correlation_length(errors) / block))
-    J_robust = _long_run([scores[:, keep] for scores in first.scores], lag) + np.diag(known * unit)[kept]
+    J_robust = long_run([scores[:, keep] for scores in first.scores], lag) + np.diag(known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
@@ -211,7 +211,7 @@ def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[Floa
             chains[int(b)] = following, record
 
 
-def _long_run(scores: list[FloatArray], lag: int) -> FloatArray:
+def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
     """Covariance of the sum of scores, neighbours up to `lag` blocks counted with falling weights."""
     n = scores[0].shape[1]
     total = np.zeros((n, n))

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from gbid.identify.block_sums import Engine
 from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import Predictor, PredictorValues
-from gbid.identify.sweep import Sweep, residuals, sweep
+from gbid.identify.sweep import Sweep, residuals, sweep, tied
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -41,12 +41,35 @@ class Part:
         Which of the problem's parameters are those of the predictor.
     engine : Engine
         Runs the pass.
+    tie : (n_own, n_p) array or None
+        When the predictor's own parameters are linear in the problem's, ``own = tie @ theta[index]``; None when they
+        are those of `index` themselves.
     """
 
     predictor: Predictor
     blocks: Blocks
     index: IntArray
     engine: Engine
+    tie: FloatArray | None = None
+
+    def own(self, theta: FloatArray) -> FloatArray:
+        """Values of the predictor's parameters at the problem's parameters."""
+        return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
+
+    @property
+    def noise(self) -> IntArray:
+        """Which of the problem's parameters only the disturbance gain depends on."""
+        rows = list(self.predictor.noise)
+        if self.tie is None:
+            return self.index[rows]
+        return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
+
+    def within_bounds(self, theta: FloatArray) -> bool:
+        """Whether parameters that are tied lie where the predictor allows them: no bound of an unknown says so."""
+        if self.tie is None:
+            return True
+        free = self.predictor.free
+        return all(q.lower <= v <= q.upper for q, v in zip(free, self.own(theta).tolist(), strict=True))
 
 
 class Iterate(NamedTuple):
@@ -180,7 +203,7 @@ class Shooting:
         met: dict[tuple[int, bytes], PredictorValues] = {}
         result = []
         for part in self.parts:
-            own = theta[part.index]
+            own = part.own(theta)
             key = (id(part.predictor), own.tobytes())
             if key not in met:
                 met[key] = part.predictor.at(own)
@@ -192,7 +215,7 @@ class Shooting:
     def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """One pass over every part; `starts` (n_windows, n)."""
         return [
-            sweep(v, part.blocks, starts[a:b], weight, part.engine)
+            tied(sweep(v, part.blocks, starts[a:b], weight, part.engine), part.tie)
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
@@ -266,7 +289,7 @@ class Shooting:
     @cached_property
     def noise(self) -> tuple[int, ...]:
         """Parameters that only disturbance gains depend on."""
-        return tuple(sorted({int(part.index[i]) for part in self.parts for i in part.predictor.noise}))
+        return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
     def _lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
         pattern = self.jacobian_pattern
@@ -347,6 +370,8 @@ class Shooting:
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
             theta, starts = self.unpack(unknowns)
+            if not all(part.within_bounds(theta) for part in self.parts):
+                return self._invalid()
             values = self.values(theta)
             if self.stable_only and self.noise and spectral_radius(values) > 1:
                 return self._invalid()

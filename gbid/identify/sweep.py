@@ -14,7 +14,7 @@ costs no more than multiple shooting.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -220,4 +220,20 @@ def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: L
     end = sums.end[first + blocks.window_size - 1]
     return Sweep(
         sums.products, gradient, gradient_start, hessian, mixed, start, end, linked.end_theta, linked.end_start
+    )
+
+
+def tied(own: Sweep, tie: FloatArray | None) -> Sweep:
+    """Refer derivatives by a predictor's own parameters to the parameters that they are tied to.
+
+    `tie` is (n_own, n_p), ``own = tie @ theta``; without it they are the same.
+    """
+    if tie is None:
+        return own
+    return replace(
+        own,
+        gradient=tie.T @ own.gradient,
+        hessian=tie.T @ own.hessian @ tie,
+        hessian_mixed=tie.T @ own.hessian_mixed,
+        end_theta=own.end_theta @ tie,
     )

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
             rho = correlation(channel, channel, lags)[1:]
             statistic[j] += n * (n + 2) * float((rho**2 / (n - np.arange(1, lags + 1))).sum())
     freedom = lags * max(1, len(records))
-    return Whiteness(statistic, np.asarray(chi2.sf(statistic, freedom)), lags)
+    return Whiteness(statistic, np.asarray(chdtrc(freedom, statistic)), lags)
 
 
 def correlation_length(errors: list[FloatArray]) -> int:

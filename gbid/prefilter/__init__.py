@@ -4,19 +4,31 @@ import sys
 from types import ModuleType
 from typing import Any
 
+from gbid.prefilter.align import IndexAlignment, align_index
+from gbid.prefilter.compare import RunoutComparison, RunoutTrial, compare_runout
 from gbid.prefilter.identify_runout import identify_runout
+from gbid.prefilter.leftover import Leftover, runout_leftover
 from gbid.prefilter.median import running_median
+from gbid.prefilter.online import OnlinePrefilter
 from gbid.prefilter.prefilter import PrefilterReport, prefilter
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.store import load_prefilter, save_prefilter
 
 __all__ = [
+    "IndexAlignment",
+    "Leftover",
+    "OnlinePrefilter",
     "PrefilterReport",
+    "RunoutComparison",
     "RunoutMap",
+    "RunoutTrial",
+    "align_index",
+    "compare_runout",
     "identify_runout",
     "load_prefilter",
     "prefilter",
     "running_median",
+    "runout_leftover",
     "save_prefilter",
 ]
 

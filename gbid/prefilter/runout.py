@@ -83,12 +83,27 @@ class RunoutMap:
         """
         value = np.tile(self.mean, (len(phi), 1))
         if self.orders.size:
-            value += np.cos(np.outer(phi, self.orders)) @ self.cosine
-            value += np.sin(np.outer(phi, self.orders)) @ self.sine
+            self._add_harmonics(phi, value)
         if self.angles.size:
             for channel, column in enumerate(self.table.T):
                 value[:, channel] += np.interp(phi, self.angles, column, period=TURN)
         return value
+
+    def _add_harmonics(self, phi: FloatArray, value: FloatArray) -> None:
+        """Add the sines and cosines, by angle addition from order to order.
+
+        A matrix product would round differently for one angle than for many; sums and products one by one do not, so
+        that what is filtered sample by sample is the same to the last bit.
+        """
+        cos_1, sin_1 = np.cos(phi), np.sin(phi)
+        cos_n, sin_n = cos_1, sin_1
+        coefficients = {int(order): (a, b) for order, a, b in zip(self.orders, self.cosine, self.sine, strict=True)}
+        for order in range(1, max(coefficients) + 1):
+            if order > 1:
+                cos_n, sin_n = cos_n * cos_1 - sin_n * sin_1, sin_n * cos_1 + cos_n * sin_1
+            if order in coefficients:
+                for channel, (a, b) in enumerate(zip(*coefficients[order], strict=True)):
+                    value[:, channel] += cos_n * a + sin_n * b
 
     def amplitudes(self, n_orders: int = 10) -> FloatArray:
         """Amplitudes of the harmonics 1, 2, ... of the map.

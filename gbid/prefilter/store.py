@@ -89,6 +89,24 @@ def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterR
         return runout_map, tuple(_read_report(group) for group in file["reports"].values())
 
 
+def add_report(path: str | Path, report: PrefilterReport) -> None:
+    """Store the report of a prefiltered recording in the recording's own file, as ``prefilter_report``."""
+    with h5py.File(path, "r+") as file:
+        _write_report(file.create_group("prefilter_report"), report)
+
+
+def read_report(path: str | Path) -> PrefilterReport:
+    """Read the report that a prefiltered recording carries.
+
+    Raises
+    ------
+    DataError
+        When the file is missing, unreadable, incomplete or of another kind.
+    """
+    with reading(path, "recording") as file:
+        return _read_report(file["prefilter_report"])
+
+
 def _write_map(group: h5py.Group, made: RunoutMap) -> None:
     for name, (unit, long_name) in _MAP.items():
         add_dataset(group, name, getattr(made, name), unit, long_name)

@@ -1,16 +1,21 @@
 """Recordings: the data object, its HDF5 store, importers, and checks of their quality."""
 
 from gbid.recording.importers import ImportMapping, SignalMapping, import_recording
-from gbid.recording.quality import SignalProblem, find_problems
+from gbid.recording.quality import find_problems
+from gbid.recording.quality_group import content_digest, find_group_problems
+from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.recording import FloatArray, Recording
 from gbid.recording.store import load_recording, save_recording
 
 __all__ = [
     "FloatArray",
     "ImportMapping",
+    "ProblemKind",
     "Recording",
     "SignalMapping",
     "SignalProblem",
+    "content_digest",
+    "find_group_problems",
     "find_problems",
     "import_recording",
     "load_recording",

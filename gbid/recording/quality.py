@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
+from gbid.recording.quality_answer import find_answer_problems
+from gbid.recording.quality_problem import ProblemKind, SignalProblem
+from gbid.recording.quality_rub import find_rub
+from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
 from gbid.recording.recording import FloatArray, Recording
 
 MIN_SAMPLES = 100
@@ -24,32 +27,18 @@ PILE = 5.0
 coarse converter holds at most 1 / (sqrt(2) - 1) = 2.4 times as many, whatever its amplitude."""
 
 
-@dataclass(frozen=True)
-class SignalProblem:
-    """One thing that is wrong with a recording.
-
-    Attributes
-    ----------
-    signal, channel : str
-        Where; both empty when it concerns the whole recording.
-    kind : str
-        ``"constant"``, ``"saturated"`` or ``"too_few_samples"``.
-    text : str
-        One sentence with the numbers and what to do.
-    """
-
-    signal: str
-    channel: str
-    kind: Literal["constant", "saturated", "too_few_samples"]
-    text: str
-
-
-def find_problems(rec: Recording, signals: Iterable[str] | None = None) -> list[SignalProblem]:
+def find_problems(
+    rec: Recording, signals: Iterable[str] | None = None, kinds: Sequence[ProblemKind] | None = None
+) -> list[SignalProblem]:
     """Look for channels that carry no information or a wrong one.
 
     A channel is constant when all its samples are equal. It is saturated when more than 1 % of the samples
     lie exactly at its largest or smallest value in runs of at least five, that value is piled up against the
     value next to it, and the channel takes more than 16 distinct values.
+
+    In recordings of r, u and p with moving piezos, u and p must answer, and each axis more to its own reference than
+    to the other (`gbid.recording.quality_answer`); p must not show impacts (`gbid.recording.quality_rub`); phi must
+    turn without jumps and at the speed claimed (`gbid.recording.quality_time`). None of this needs a model.
 
     Parameters
     ----------
@@ -57,6 +46,8 @@ def find_problems(rec: Recording, signals: Iterable[str] | None = None) -> list[
         The recording.
     signals : iterable of str, optional
         Names of the signals to look at; all by default. A shaft angle is rightly constant at standstill.
+    kinds : collection of str, optional
+        Kinds of problems to look for; all by default.
 
     Returns
     -------
@@ -68,21 +59,22 @@ def find_problems(rec: Recording, signals: Iterable[str] | None = None) -> list[
     DataError
         When the recording has no signal of a name given.
     """
-    problems = []
+    problems: list[SignalProblem] = []
+    looked_at = list(rec.signals if signals is None else signals)
     if rec.n_samples < MIN_SAMPLES:
         text = (
             f"recording {rec.name!r} has {rec.n_samples} samples, at least {MIN_SAMPLES} are needed; "
             "record longer or cut less away."
         )
         problems.append(SignalProblem("", "", "too_few_samples", text))
-    for signal in rec.signals if signals is None else signals:
+    for signal in looked_at:
         values, unit = rec.signal(signal), rec.units[signal]
         for channel, column in zip(rec.channels[signal], values.T, strict=True):
             where = f"recording {rec.name!r}: signal {signal!r} channel {channel!r}"
             if column.min() == column.max():
                 text = (
-                    f"{where} is constant: all {rec.n_samples} samples are {_with_unit(column[0], unit)}; "
-                    "check the cable and the column of the mapping, or leave the signal out."
+                    f"{where} is constant: all {rec.n_samples} samples are {_with_unit(column[0], unit)}; a dead "
+                    "sensor, a loose cable or the wrong column of the mapping: correct it, or leave the signal out."
                 )
                 problems.append(SignalProblem(signal, channel, "constant", text))
             elif stays := _stays(column):
@@ -94,7 +86,27 @@ def find_problems(rec: Recording, signals: Iterable[str] | None = None) -> list[
                     "the range and record again, or cut those samples away."
                 )
                 problems.append(SignalProblem(signal, channel, "saturated", text))
-    return problems
+    for about, own, find in _FINDERS:
+        if (kinds is None or set(own) & set(kinds)) and (not about or set(about) & set(looked_at)):
+            problems += [problem for problem in find(rec) if not problem.signal or problem.signal in looked_at]
+    return [problem for problem in problems if kinds is None or problem.kind in kinds]
+
+
+def _find_rub(rec: Recording) -> Iterator[SignalProblem]:
+    """Find a rub; an angle that jumps explains nothing, so it is left aside."""
+    if "phi" in rec.signals and any(find_encoder_faults(rec)):
+        rec = replace(rec, signals={name: values for name, values in rec.signals.items() if name != "phi"})
+    return find_rub(rec)
+
+
+_Finder = tuple[tuple[str, ...], tuple[ProblemKind, ...], Callable[[Recording], Iterator[SignalProblem]]]
+# Signals that each is about (none: the whole recording), and the kinds that it finds.
+_FINDERS: tuple[_Finder, ...] = (
+    (("r", "u", "p"), ("dead", "swapped"), find_answer_problems),
+    (("p",), ("rub",), _find_rub),
+    (("phi",), ("encoder",), find_encoder_faults),
+    ((), ("sample_time",), find_clock_problems),
+)
 
 
 def _with_unit(value: float, unit: str) -> str:

@@ -84,15 +84,20 @@ def nominal_table(document: Row) -> Table:
     document : dict
         From `nominal_document`.
     """
-    among = f"the most central of {document['chosen_from']} models of {document['fit']}"
-    title = f"nominal actuator: {document['model']}, {among}"
-    table = new_table(title, ["", "parameter", "value", "why"], left=("", "parameter", "why"))
-    for name, value in document["parameters"].items():
-        table.add_row("", name, f"{value:.5g}", "")
+    off = bool(document["outliers"] or document["left_out"])
+    columns = ["most central model", "parameter", "value", "std", *(["why"] if off else [])]
+    table = new_table(f"{document['fit']}, nominal actuator", columns, left=("most central model", "parameter", "why"))
+    first = [document["model"], f"of {document['chosen_from']} models"]
+    for i, (name, value) in enumerate(document["parameters"].items()):
+        std = document["std"][name]
+        shown = "-" if std != std else f"{std:.2g}"
+        table.add_row(first[i] if i < len(first) else "", name, f"{value:.5g}", shown)
     for outlier in document["outliers"]:
-        table.add_row(f"outlier {outlier['model']}", outlier["parameter"], f"{outlier['value']:.5g}", outlier["reason"])
+        table.add_row(
+            f"outlier {outlier['model']}", outlier["parameter"], f"{outlier['value']:.5g}", "", outlier["reason"]
+        )
     for text in document["left_out"]:
-        table.add_row("left out", "", "", text)
+        table.add_row("left out", "", "", "", text)
     return table
 
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import toeplitz
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtri
 
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.recording import Recording
-from gbid.validate.crossval import estimate_initial_state, has_offsets
+from gbid.validate.crossval import Ranges, between_samples, counted_samples, estimate_initial_state, has_offsets
 from gbid.validate.fit_percent import fit_percent
 
 FloatArray = npt.NDArray[np.float64]
@@ -85,7 +85,7 @@ class ResidualTest:
         return tuple(_following(row, self.input_names) for row in self.p_independent)
 
 
-def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> ResidualTest:
+def check_residuals(result: FitResult, recording: Recording, lags: int = 50, left_out: Ranges = ()) -> ResidualTest:
     """Test the residuals of a fitted model on a recording.
 
     One-step-ahead errors for a fit with prediction focus, errors of simulation otherwise, the initial state
@@ -98,6 +98,9 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     recording : Recording
     lags : int
         Largest lag [samples].
+    left_out : sequence of (start, stop)
+        Stretches of samples that are not tested. What is tested is the longest stretch without them: correlations
+        do not reach over a gap.
 
     Returns
     -------
@@ -113,13 +116,13 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     inputs, outputs = result.options["inputs"].split(), result.options["outputs"].split()
     u, input_names, _ = select(recording, inputs)
     y, output_names, _ = select(recording, outputs)
+    stretch = _longest(counted_samples(recording, left_out), len(y))
+    u, y = u[stretch], y[stretch]
     if lags < 1 or len(y) < 4 * lags:
         raise UsageError(
             f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth"
         )
-    hold = result.options["intersample"].split()
-    between: str | list[str] = hold[0] if len(hold) == 1 else hold
-    model = result.model
+    model, between = result.model, between_samples(result)
     with np.errstate(over="ignore", invalid="ignore"):
         try:
             offsets = has_offsets(result)
@@ -136,7 +139,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     error = y - predicted
     e, v = error - error.mean(0), u - u.mean(0)
     n, n_y, n_u = len(e), e.shape[1], v.shape[1]
-    quantile = float(norm.ppf(0.5 + _LEVEL / 2))
+    quantile = float(ndtri(0.5 + _LEVEL / 2))
     auto = np.array([correlation(e[:, j], e[:, j], lags) for j in range(n_y)])
     cross = np.zeros((n_y, n_u, 2 * lags + 1))
     band, independent = np.zeros((n_y, n_u)), np.zeros((n_y, n_u))
@@ -171,6 +174,15 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50) -> 
     )
 
 
+def _longest(counted: npt.NDArray[np.bool_] | None, n: int) -> slice:
+    """Find the longest stretch of samples that count."""
+    if counted is None:
+        return slice(0, n)
+    edges = np.flatnonzero(np.diff(counted, prepend=False, append=False)).reshape(-1, 2)
+    start, stop = edges[np.argmax(edges[:, 1] - edges[:, 0])].tolist()
+    return slice(start, stop)
+
+
 def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray:
     """Covariance, times n, of cross-correlations at lags that are 0, 1, ... `lags` apart, if there is no correlation.
 
@@ -189,7 +201,7 @@ def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
     values, vectors = np.linalg.eigh(toeplitz(variance))
     kept = values > 1e-6 * values[-1]
     statistic = n * float(((vectors[:, kept].T @ cross) ** 2 / values[kept]).sum())
-    return float(chi2.sf(statistic, int(kept.sum())))
+    return float(chdtrc(int(kept.sum()), statistic))
 
 
 def _verdict(

@@ -3,25 +3,44 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gbid.errors import DataError
-from gbid.experiment.keys import content_key
-from gbid.experiment.pairs import figure_pairs, fit_models, validation_pairs
-from gbid.experiment.stages.common import Job, Outcome, produce
-from gbid.experiment.stages.fitting import fit_key, load_made_fit
-from gbid.experiment.stages.prefiltering import fit_input_key, load_fit_input
-from gbid.experiment.structures import make_structure
+from gbid.experiment.keys import content_key, is_current, stored_key
+from gbid.experiment.pairs import validation_pairs
+from gbid.experiment.stages.common import Job, Outcome
+from gbid.experiment.stages.fitting import load_made_fit
+from gbid.experiment.stages.pairing import (
+    check_fit_input,
+    check_model,
+    data_key,
+    left_out_of,
+    model_key,
+    residuals_on,
+    with_local,
+)
+from gbid.experiment.stages.performing import produce
+from gbid.experiment.stages.prefiltering import load_fit_input
 from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.structure import evaluate
-from gbid.validate import ResidualTest, Validation, check_residuals, cross_validate
+from gbid.validate import ValidationScores, ValidationSummary, save_validation_summary, summarise
+from gbid.validate.many import Simulator, score, simulator, validation_data
+from gbid.validate.store import write_summary_csv
 
 FOLDER = "crossval"
-_LAGS = 50  # of the residual test
+SUMMARY = "_summary"
+_MANY = 200  # pairs up to which the residuals of each are tested
+_MODELS_AT_HAND = 256
+_COLUMNS = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
+_LEVEL = 0.01  # of the test of whiteness, over all outputs
+
+Pair = tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -36,9 +55,10 @@ class CrossvalRow:
     infinity_norm : float
         Largest deviation of the simulation, in `unit`.
     unit : str
-    residual_p : float
+    residual_p : float or None
         Probability of less white residuals if they were white; the residuals are those of the fit's own focus.
-    residuals_white : bool
+        None where they were not tested.
+    residuals_white : bool or None
     residuals_follow : tuple of str
         Inputs that are still to be found in the residuals.
     minimum_percent : float or None
@@ -52,8 +72,8 @@ class CrossvalRow:
     fit_percent: float
     infinity_norm: float
     unit: str
-    residual_p: float
-    residuals_white: bool
+    residual_p: float | None
+    residuals_white: bool | None
     residuals_follow: tuple[str, ...]
     minimum_percent: float | None
 
@@ -64,129 +84,233 @@ class CrossvalRow:
 
 
 def run_crossval(job: Job) -> tuple[list[Outcome], list[CrossvalRow]]:
-    """Write ``crossval/<fit>.csv`` for each fit that is cross-validated.
+    """Write ``crossval/<fit>.csv`` and its summary for each fit that is cross-validated.
 
     Returns
     -------
     list of Outcome
+        The tables and, as ``<fit>_summary.h5`` and ``<fit>_summary.csv``, their summaries; pairs that failed.
     list of CrossvalRow
         Of all fits. A threshold that was missed is a matter of the caller: the results are written.
     """
     outcomes: list[Outcome] = []
     rows: list[CrossvalRow] = []
     for name in job.experiment.spec.crossval:
-        found: list[CrossvalRow] = []
-        sources: list[str] = []
-        for model, recording in validation_pairs(job.experiment, name):
-            try:
-                validation = validate_pair(job, name, model, recording)
-                found += _rows(job, name, model, validation, residuals_of_pair(job, name, model, recording))
-                sources += pair_keys(job, name, model, recording)
-            except DataError as error:
-                item, path = f"{name}/{model} on {recording}", job.path(FOLDER, name, ".csv")
-                outcomes.append(Outcome("crossval", item, path, "failed", str(error)))
-                job.reporter.end(outcomes[-1])
-        if found:
-            outcomes.append(_store(job, name, found, sources))
-            rows += found
+        made, found = _crossval(job, name)
+        outcomes += made
+        rows += found
     return outcomes, rows
 
 
-def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation:
-    """Put one model of a fit to one recording.
-
-    Raises
-    ------
-    DataError
-        When the fit or the recording is not there, or they do not go together.
-    """
-    return cross_validate(*_model_and_recording(job, name, model, recording))
-
-
-def residuals_of_pair(job: Job, name: str, model: str, recording: str) -> ResidualTest:
-    """Test the residuals of one model of a fit on one recording.
-
-    Raises
-    ------
-    DataError
-        When the fit or the recording is not there, or they do not go together.
-    """
-    result, data = _model_and_recording(job, name, model, recording)
-    return check_residuals(result, data, lags=min(_LAGS, data.n_samples // 4))
+def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
+    """Read the rows of a fit's cross-validation; empty unless they are there, made from the present results."""
+    run, path = _Run(job, name), job.path(FOLDER, name, ".csv")
+    pairs = [pair for pair in validation_pairs(job.experiment, name) if not run.missing(*pair)]
+    if not pairs or not path.is_file():
+        return []
+    rows = _read(job, name, path)
+    there = {(row.model, row.recording) for row in rows}
+    return rows if stored_key(path) == run.key([pair for pair in pairs if pair in there]) else []
 
 
-def pair_keys(job: Job, name: str, model: str, recording: str) -> list[str]:
-    """Content keys of a model and the recording that it is put to."""
-    fitted_to = fit_models(job.experiment, name)[model]
-    planned = job.experiment.recordings[recording]
-    return [fit_key(job.experiment, name, fitted_to), fit_input_key(job.experiment, planned)]
+def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
+    """Put the rows of one fit side by side."""
+    outputs = tuple(dict.fromkeys(row.output for row in rows))
+    first = rows[:: len(outputs)]
+    known = [job.experiment.recordings[row.recording].conditions for row in first]
+    shape = (len(first), len(outputs))
+    return ValidationScores(
+        tuple(row.model for row in first),
+        tuple(row.recording for row in first),
+        np.array([conditions.get("pressure_bar", np.nan) for conditions in known]),
+        np.array([conditions.get("speed_rpm", np.nan) for conditions in known]),
+        outputs,
+        tuple(row.unit for row in rows[: len(outputs)]),
+        np.array([row.fit_percent for row in rows]).reshape(shape),
+        np.array([row.infinity_norm for row in rows]).reshape(shape),
+    )
 
 
-def drawn_pairs(job: Job) -> Iterable[tuple[str, str, str]]:
-    """Fit, model and recording of each picture that the experiment asks for."""
-    for name in job.experiment.spec.figures:
-        for model, recording in figure_pairs(job.experiment, name):
-            yield name, model, recording
-
-
-def _model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, Recording]:
-    result = load_made_fit(job, name, model)
-    data = load_fit_input(job, job.experiment.recordings[recording])
-    return (_with_local(job, name, result, recording) if result.local_names else result), data
-
-
-def _with_local(job: Job, name: str, result: FitResult, recording: str) -> FitResult:
-    """Give the model the local parameters that hold for a recording: its own, or those of its operating point."""
-    known, scopes = job.experiment.recordings, job.experiment.spec.fits[name].local
-    alike = [recording] if recording in result.recordings else []
-    if not alike and all(scope == "operating_point" for scope in scopes.values()):
-        alike = [other for other in result.recordings if known[other].point == known[recording].point]
-    if not alike:
-        raise DataError(
-            f"fit {name!r} has parameters local to a recording or operating point ({', '.join(scopes)}); "
-            f"there are none for recording {recording!r}"
+def _crossval(job: Job, name: str) -> tuple[list[Outcome], list[CrossvalRow]]:
+    """Validate one fit, or read what is there already."""
+    run = _Run(job, name)
+    failed: dict[Pair, str] = {}
+    pairs = []
+    for model, recording in validation_pairs(job.experiment, name):
+        text = run.missing(model, recording)
+        if text:
+            failed[model, recording] = text
+        else:
+            pairs.append((model, recording))
+    path = job.path(FOLDER, name, ".csv")
+    rows: list[CrossvalRow] = []
+    if pairs and is_current(path, run.key(pairs), job.overwrite):
+        rows = _read(job, name, path)
+    elif pairs:
+        rows, broken = run.rows(pairs)
+        failed |= broken
+    outcomes = []
+    for (model, recording), text in failed.items():
+        outcomes.append(Outcome("crossval", f"{name}/{model} on {recording}", path, "failed", text, cause="data"))
+        job.reporter.end(outcomes[-1])
+    if rows:
+        key = run.key([pair for pair in pairs if pair not in failed])
+        outcomes.append(produce(job, "crossval", name, path, key, partial(_write, rows, key)))
+        texts = [f"{model} on {recording}: {text}" for (model, recording), text in failed.items()]
+        summary, own = (
+            summarise(scores_of_rows(job, rows), failed=texts),
+            content_key("summary", {"failed": texts}, [key]),
         )
-    structure, found = make_structure(job.experiment, name), result.parameters_of(alike[0])
-    own = {q.name: found[q.name] for q in structure.parameters}
-    return replace(result, model=evaluate(structure, own, result.model.input_names, result.model.output_names))
+        for ending, write in ((".h5", _write_summary), (".csv", partial(_write_summary_csv, own))):
+            place = job.path(FOLDER, f"{name}{SUMMARY}", ending)
+            outcomes.append(produce(job, "crossval", f"{name}{SUMMARY}{ending}", place, own, partial(write, summary)))
+    return outcomes, rows
 
 
-def _rows(job: Job, name: str, model: str, validation: Validation, test: ResidualTest) -> list[CrossvalRow]:
-    return [
-        CrossvalRow(
-            name,
-            model,
-            validation.recording,
-            output,
-            float(validation.fit_percent[i]),
-            float(validation.infinity_norm[i]),
-            validation.output_units[i],
-            float(test.p_white[i]),
-            bool(test.white[i]),
-            test.follows[i],
-            job.experiment.spec.crossval[name].minimum_percent,
+class _Run:
+    """The cross-validation of one fit, with what is at hand."""
+
+    def __init__(self, job: Job, name: str) -> None:
+        self._job, self._name = job, name
+        self._model_keys: dict[str, str] = {}
+        self._data_keys: dict[str, str] = {}
+        self._missing: dict[tuple[str, str], str] = {}
+        self._model = lru_cache(maxsize=_MODELS_AT_HAND)(self._load_model)
+
+    def missing(self, model: str, recording: str) -> str:
+        """Say what is not there of a pair, empty when nothing."""
+        return self._absent("model", model) or self._absent("recording", recording)
+
+    def key(self, pairs: Sequence[Pair]) -> str:
+        """Content key of a table of pairs."""
+        for model, recording in pairs:
+            if model not in self._model_keys:
+                self._model_keys[model] = model_key(self._job.experiment, self._name, model)
+            if recording not in self._data_keys:
+                self._data_keys[recording] = data_key(self._job.experiment, self._name, recording)
+        sources = [f"{self._model_keys[model]} {self._data_keys[recording]}" for model, recording in pairs]
+        settings = {"pairs": pairs, "columns": _COLUMNS, "residuals": self._residuals(pairs)}
+        return content_key("crossval", settings, sources)
+
+    def rows(self, pairs: Sequence[Pair]) -> tuple[list[CrossvalRow], dict[Pair, str]]:
+        """Rows of all pairs in their order, and why some failed; each recording is read once."""
+        found: dict[Pair, list[CrossvalRow]] = {}
+        failed: dict[Pair, str] = {}
+        how, tested = self._residuals(pairs), set(dict(reversed(pairs)).items())  # the first pair of each model
+        by_recording: dict[str, list[Pair]] = {}
+        for pair in pairs:
+            by_recording.setdefault(pair[1], []).append(pair)
+        for recording, here in by_recording.items():
+            try:
+                data = load_fit_input(self._job, self._job.experiment.recordings[recording])
+            except DataError as error:
+                failed |= dict.fromkeys(here, str(error))
+                continue
+            for pair in here:
+                test = how == "pairs" or (how == "models" and pair in tested)
+                try:
+                    found[pair] = self._rows(pair[0], data, test)
+                except DataError as error:
+                    failed[pair] = str(error)
+        return [row for pair in pairs if pair in found for row in found[pair]], failed
+
+    def _rows(self, model: str, data: Recording, test: bool) -> list[CrossvalRow]:
+        fitted, plain = self._model(model)
+        if plain.local_names:
+            plain = with_local(self._job, self._name, plain, data.name)
+            fitted = simulator(plain)
+        own = self._data(data, plain)
+        percent, largest = score(fitted, own)
+        residuals = residuals_on(self._job, self._name, plain, data) if test else None
+        return [
+            CrossvalRow(
+                self._name,
+                model,
+                data.name,
+                output,
+                float(percent[i]),
+                float(largest[i]),
+                own.output_units[i],
+                None if residuals is None else float(residuals.p_white[i]),
+                None if residuals is None else bool(residuals.white[i]),
+                () if residuals is None else residuals.follows[i],
+                self._job.experiment.spec.crossval[self._name].minimum_percent,
+            )
+            for i, output in enumerate(own.output_names)
+        ]
+
+    def _data(self, data: Recording, result: FitResult) -> Any:
+        if getattr(self, "_last", (None,))[0] is not data:  # the models of one recording come one after the other
+            self._last = (data, validation_data(result, data, left_out_of(self._job, self._name, data)))
+        return self._last[1]
+
+    def _load_model(self, model: str) -> tuple[Simulator, FitResult]:
+        result = load_made_fit(self._job, self._name, model)
+        return simulator(result), result
+
+    def _residuals(self, pairs: Sequence[Pair]) -> str:
+        return self._job.experiment.spec.crossval[self._name].residuals or (
+            "pairs" if len(pairs) <= _MANY else "models"
         )
-        for i, output in enumerate(validation.output_names)
-    ]
+
+    def _absent(self, kind: str, item: str) -> str:
+        if (kind, item) not in self._missing:
+            text = ""
+            try:
+                if kind == "model":
+                    check_model(self._job, self._name, item)
+                else:
+                    check_fit_input(self._job, item)
+            except (DataError, OSError) as error:
+                text = str(error)
+            self._missing[kind, item] = text
+        return self._missing[kind, item]
 
 
-def _store(job: Job, name: str, rows: list[CrossvalRow], sources: list[str]) -> Outcome:
-    columns = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
-    pairs = [(row.model, row.recording) for row in rows]
-    key = content_key("crossval", {"pairs": pairs, "columns": columns}, sources)
+def _write(rows: Sequence[CrossvalRow], key: str, part: Path) -> None:
+    with part.open("w", encoding="utf-8", newline="") as handle:
+        handle.write("# fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; ")
+        handle.write("infinity_norm: largest |y - yhat|\n")
+        handle.write("# residual_p: probability of less white residuals if they were white, empty where not tested; ")
+        handle.write("residuals_follow: inputs still to be found in them\n")
+        handle.write(f"# content_key: {key}\n")
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(_COLUMNS)
+        writer.writerows([_cell(getattr(row, column)) for column in _COLUMNS] for row in rows)
 
-    def write(part: Path) -> None:
-        with part.open("w", encoding="utf-8", newline="") as handle:
-            handle.write("# fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; ")
-            handle.write("infinity_norm: largest |y - yhat|\n")
-            handle.write("# residual_p: probability of less white residuals if they were white; ")
-            handle.write("residuals_follow: inputs still to be found in them\n")
-            handle.write(f"# content_key: {key}\n")
-            writer = csv.writer(handle, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows([_cell(getattr(row, column)) for column in columns] for row in rows)
 
-    return produce(job, "crossval", name, job.path(FOLDER, name, ".csv"), key, write)
+def _read(job: Job, name: str, path: Path) -> list[CrossvalRow]:
+    with path.open(encoding="utf-8", newline="") as handle:
+        table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
+    minimum = job.experiment.spec.crossval[name].minimum_percent
+    n_outputs = len({row["output"] for row in table})
+    rows = []
+    for row in table:
+        p = float(row["residual_p"]) if row["residual_p"] else None
+        rows.append(
+            CrossvalRow(
+                name,
+                row["model"],
+                row["recording"],
+                row["output"],
+                float(row["fit_percent"]),
+                float(row["infinity_norm"]),
+                row["unit"],
+                p,
+                None if p is None else p >= _LEVEL / n_outputs,
+                tuple(row["residuals_follow"].split()),
+                minimum,
+            )
+        )
+    return rows
+
+
+def _write_summary(summary: ValidationSummary, part: Path) -> None:
+    save_validation_summary(summary, part, overwrite=True)
+
+
+def _write_summary_csv(key: str, summary: ValidationSummary, part: Path) -> None:
+    write_summary_csv(summary, part, f"content_key: {key}")
 
 
 def _cell(value: Any) -> Any:

@@ -5,23 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from math import inf
 from pathlib import Path
 from typing import Any
 
+import numpy.typing as npt
+
 from gbid.errors import DataError
 from gbid.experiment.keys import content_key
 from gbid.experiment.load import Experiment
-from gbid.experiment.pairs import fit_models
-from gbid.experiment.stages.common import Job, Outcome, produce
+from gbid.experiment.pairs import fit_models, recordings_of
+from gbid.experiment.stages.common import Job, Made, Outcome, Task
+from gbid.experiment.stages.performing import run_tasks
 from gbid.experiment.stages.prefiltering import fit_input_key, load_fit_input
 from gbid.experiment.stages.recordings import check_made, refuse_bad_signals
 from gbid.experiment.structures import make_structure, structure_settings
+from gbid.hdf5 import read_attribute, read_dataset, reading
 from gbid.identify import FitResult, MultiStart, fit, fit_multistart, load_fit, save_fit
-from gbid.recording import Recording
+from gbid.identify.store import KIND
+from gbid.recording import ProblemKind, Recording
 
 FOLDER = "fits"
+_OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
 _AS_THEY_ARE = (
     *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
     *("engine", "start", "fixed", "local", "offsets", "initial_state"),
@@ -40,16 +45,30 @@ def run_fits(job: Job, only: str | None = None) -> list[Outcome]:
     only : str, optional
         Name of the one fit to run.
     """
-    outcomes = []
+    return run_tasks(job, fit_tasks(job, only))
+
+
+def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
+    """List the tasks of all fits, or of the one named."""
+    tasks = []
     for name in job.experiment.spec.fits if only is None else [only]:
         for model, recordings in fit_models(job.experiment, name).items():
             path, key = fit_path(job, name, model), fit_key(job.experiment, name, recordings)
-            outcome = produce(job, "fit", f"{name}/{model}", path, key, partial(_fit, job, name, recordings))
-            if outcome.state != "failed":
-                result = load_fit(path)
-                outcome = replace(outcome, converged=result.success, text=result.status)
-            outcomes.append(outcome)
-    return outcomes
+            tasks.append(Task("fit", f"{name}/{model}", path, key, _write_fit, tuple(recordings), read_fit_summary))
+    return tasks
+
+
+def read_fit_summary(path: Path) -> Made:
+    """Read status and smallest fit of a result that is there.
+
+    Raises
+    ------
+    DataError
+        When the file is damaged.
+    """
+    with reading(path, KIND) as file:
+        percent = read_dataset(file, "fit_percent")
+        return Made(str(read_attribute(file, "status")), bool(read_attribute(file, "success")), _smallest(percent))
 
 
 def fit_path(job: Job, name: str, model: str) -> Path:
@@ -65,7 +84,7 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
     DataError
         When it is not there, or was made from other settings.
     """
-    recordings = fit_models(job.experiment, name)[model]
+    recordings = recordings_of(job.experiment, name, model)
     path = fit_path(job, name, model)
     check_made(path, fit_key(job.experiment, name, recordings), "gbid fit")
     return load_fit(path)
@@ -113,21 +132,26 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
     if stop > recording.n_samples:
         raise DataError(
             f"left_out: recording {recording.name!r} ends at {recording.n_samples * recording.sample_time:g} s, "
-            f"before {to_s:g} s"
+            f"before {to_s:g} s; make the stretch end there"
         )
     if stop <= first:
-        raise DataError(f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s")
+        raise DataError(
+            f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s; widen it"
+        )
     return first, stop
 
 
-def _fit(job: Job, name: str, recordings: list[str], part: Path) -> str:
+def _write_fit(job: Job, item: str, part: Path) -> Made:
+    name, _, model = item.partition("/")
     structure = make_structure(job.experiment, name)
     section = job.experiment.spec.fits[name]
     used = [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
     data = []
-    for planned in (job.experiment.recordings[recording] for recording in recordings):
+    for recording in recordings_of(job.experiment, name, model):
+        planned = job.experiment.recordings[recording]
         data.append(load_fit_input(job, planned))
-        refuse_bad_signals(planned, data[-1], used)
+        # What was prefiltered was looked at then; here only whether its channels carry anything.
+        refuse_bad_signals(planned, data[-1], used, kinds=_OWN_KINDS if job.experiment.spec.prefilter else None)
     arguments = fit_arguments(job.experiment, name, data)
     if section.multi_start is None:
         result = fit(structure, data, progress=job.reporter.iteration, **arguments)
@@ -136,7 +160,11 @@ def _fit(job: Job, name: str, recordings: list[str], part: Path) -> str:
         found = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments)
         result = _with_starts(found, section.multi_start.seed)
     save_fit(result, part, overwrite=True)
-    return f"{result.status}; {result.iterations} iterations"
+    return Made(result.status, result.success, _smallest(result.fit_percent))
+
+
+def _smallest(percent: npt.NDArray[Any]) -> float:
+    return float(percent.min()) if percent.size else math.nan
 
 
 def _with_starts(found: MultiStart, seed: int) -> FitResult:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from functools import partial
+from collections.abc import Collection
+from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
 from gbid.errors import DataError
-from gbid.experiment.keys import content_key
+from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.load import Experiment
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.stages.common import Job, Outcome, produce
+from gbid.experiment.schema import PrefilterSection
+from gbid.experiment.stages.common import Job, Made, Outcome, Task
+from gbid.experiment.stages.performing import run_tasks
 from gbid.experiment.stages.recordings import (
     load_checked,
     load_made,
@@ -18,7 +22,8 @@ from gbid.experiment.stages.recordings import (
     refuse_bad_signals,
     used_channels,
 )
-from gbid.prefilter import PrefilterReport, RunoutMap, identify_runout, prefilter, save_prefilter
+from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
+from gbid.prefilter.store import add_report, read_report
 from gbid.recording import Recording, save_recording
 
 FOLDER = "prefiltered"
@@ -30,13 +35,44 @@ def prefilter_recordings(job: Job) -> list[Outcome]:
 
     Nothing without a prefilter section. A recording that cannot be prefiltered does not stop the others.
     """
+    outcomes = run_tasks(job, prefilter_tasks(job))
+    failed = {outcome.item for outcome in outcomes if outcome.state == "failed"}
+    return [*outcomes, *run_tasks(job, map_tasks(job, failed))]
+
+
+def prefilter_tasks(job: Job) -> list[Task]:
+    """List the tasks of the prefilter section, one for each excited recording."""
     if job.experiment.spec.prefilter is None:
         return []
-    excited = [q for q in job.experiment.recordings.values() if q.excited]
-    outcomes = []
-    for point in dict.fromkeys(q.point for q in excited):
-        outcomes += _prefilter_point(job, point, [q for q in excited if q.point == point])
-    return outcomes
+    tasks = []
+    for planned in job.experiment.recordings.values():
+        if planned.excited:
+            path, key = job.path(FOLDER, planned.name), prefiltered_key(job.experiment, planned)
+            tasks.append(Task("prefilter", planned.name, path, key, _write_prefiltered, (planned.name,)))
+    return tasks
+
+
+def map_tasks(job: Job, without: Collection[str] = ()) -> list[Task]:
+    """List the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks.
+
+    Parameters
+    ----------
+    job : Job
+    without : collection of str
+        Recordings that could not be prefiltered.
+    """
+    section = job.experiment.spec.prefilter
+    if section is None:
+        return []
+    tasks = []
+    for point, excited in _by_point(job.experiment).items():
+        there = [planned for planned in excited if planned.name not in without]
+        if there:
+            keys = [prefiltered_key(job.experiment, planned) for planned in there]
+            key, names = content_key("map", section.model_dump(), keys), tuple(planned.name for planned in there)
+            path = job.path(MAP_FOLDER, point)
+            tasks.append(Task("prefilter", f"map {point}", path, key, _write_map, names))
+    return tasks
 
 
 def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
@@ -68,66 +104,73 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
     return load_checked(job.path(FOLDER, planned.name), key, "gbid fit")
 
 
-def _prefilter_point(job: Job, point: str, excited: list[PlannedRecording]) -> list[Outcome]:
-    """Prefilter the recordings of one operating point, then store its map with their reports."""
-    section = job.experiment.spec.prefilter
+def _write_prefiltered(job: Job, name: str, part: Path) -> None:
+    section, planned = job.experiment.spec.prefilter, job.experiment.recordings[name]
     assert section is not None
     try:
-        runout_map = _runout_map(job, point)
+        runout_map = _runout_map(job, planned.point)
     except DataError as error:
-        outcomes = [
-            Outcome("prefilter", q.name, job.path(FOLDER, q.name), "failed", f"no run-out map: {error}")
-            for q in excited
-        ]
-        for outcome in outcomes:
-            job.reporter.end(outcome)
-        return outcomes
-    reports: list[PrefilterReport] = []
-    outcomes, keys = [], []
-    for planned in excited:
-        key, path = prefiltered_key(job.experiment, planned), job.path(FOLDER, planned.name)
-        outcome = produce(job, "prefilter", planned.name, path, key, partial(_write, job, planned, runout_map, reports))
-        outcomes.append(outcome)
-        if outcome.state == "kept":
-            reports.append(_filtered(job, planned, runout_map)[1])
-        if outcome.state != "failed":
-            keys.append(key)
-
-    def write_map(part: Path) -> None:
-        save_prefilter(part, runout_map, reports, overwrite=True)
-
-    map_key = content_key("map", section.model_dump(), keys)
-    outcomes.append(produce(job, "prefilter", f"map {point}", job.path(MAP_FOLDER, point), map_key, write_map))
-    return outcomes
+        raise type(error)(f"no run-out map: {error}") from None
+    raw = load_made(job, planned)
+    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name))
+    if runout_map is not None and runout_map.needs_angle:
+        refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
+        if section.align_index:
+            raw = align_index(runout_map, raw).apply(raw)
+    filtered, report = prefilter(raw, runout_map, median=section.median, remove_mean=section.remove_mean)
+    save_recording(filtered, part, overwrite=True)
+    add_report(part, report)
 
 
+def _write_map(job: Job, item: str, part: Path) -> Made:
+    point = item.removeprefix("map ")
+    reports = []
+    for planned in (q for q in job.experiment.points[point] if q.excited):
+        path = job.path(FOLDER, planned.name)
+        if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
+            reports.append(read_report(path))
+    runout_map = _runout_map(job, point)
+    save_prefilter(part, runout_map, reports, overwrite=True)
+    return Made("; ".join(runout_map.notes) if runout_map else "")
+
+
+@lru_cache(maxsize=2)
 def _runout_map(job: Job, point: str) -> RunoutMap | None:
+    """Identify the map of an operating point; the recordings of one point mostly come one after the other."""
     section = job.experiment.spec.prefilter
     assert section is not None
     if section.method == "none":
         return None
-    still = [load_made(job, q) for q in _stationary(job.experiment, point)]
-    return identify_runout(still, method=section.method, harmonics=section.harmonics, bins=section.bins)
+    still: list[Recording] = []
+    for planned in _stationary(job.experiment, point):
+        rec = load_made(job, planned)
+        refuse_bad_signals(planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time"))
+        if section.align_index and still:
+            rec = align_index(_identified(still[:1], section)[0], rec).apply(rec)
+        still.append(rec)
+    runout_map, words = _identified(still, section)
+    return replace(runout_map, notes=(*runout_map.notes, *words))
 
 
-def _filtered(job: Job, planned: PlannedRecording, runout_map: RunoutMap | None) -> tuple[Recording, PrefilterReport]:
-    section = job.experiment.spec.prefilter
-    assert section is not None
-    raw = load_made(job, planned)
-    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name))
-    return prefilter(raw, runout_map, median=section.median, remove_mean=section.remove_mean)
+def _identified(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
+    """Identify a map by the method asked for, and say what was chosen."""
+    if section.method != "auto":
+        return identify_runout(still, method=section.method, harmonics=section.harmonics, bins=section.bins), ()
+    compared = compare_runout(still)
+    chosen = compared.chosen
+    left = ", ".join(f"{1e9 * rms:.1f}" for rms in chosen.residual_rms)
+    size = "" if chosen.method == "mean" else f", {chosen.size}"
+    return compared.runout_map, (f"method auto: {chosen.method}{size}; it leaves {left} nm of what was held out",)
 
 
-def _write(
-    job: Job, planned: PlannedRecording, runout_map: RunoutMap | None, reports: list[PrefilterReport], part: Path
-) -> None:
-    filtered, report = _filtered(job, planned, runout_map)
-    save_recording(filtered, part, overwrite=True)
-    reports.append(report)
+def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
+    """Excited recordings by operating point."""
+    excited = {point: [q for q in there if q.excited] for point, there in experiment.points.items()}
+    return {point: there for point, there in excited.items() if there}
 
 
 def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
-    return [q for q in experiment.recordings.values() if not q.excited and q.point == point]
+    return [q for q in experiment.points.get(point, ()) if q.stationary]
 
 
 def _stationary_keys(experiment: Experiment, point: str) -> list[Any]:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
-from functools import partial
+from functools import lru_cache
 from pathlib import Path
 
-from gbid.errors import DataError
+from gbid.errors import DataError, GbidError
 from gbid.experiment.keys import content_key, file_digest, stored_key
 from gbid.experiment.load import Experiment
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.sources import data_file, machine_at, mapping_of, rig_experiment
-from gbid.experiment.stages.common import Job, Outcome, produce
+from gbid.experiment.rig_parts import as_settings, machine_at, record_options, rig_experiment
+from gbid.experiment.sources import data_file, mapping_of
+from gbid.experiment.stages.common import Job, Outcome, Task
+from gbid.experiment.stages.performing import InputError, run_tasks
 from gbid.experiment.structures import make_structure, rig_model
-from gbid.lpv import LPVModel
-from gbid.recording import Recording, find_problems, import_recording, load_recording, save_recording
+from gbid.recording import (
+    ProblemKind,
+    Recording,
+    find_group_problems,
+    find_problems,
+    import_recording,
+    load_recording,
+    save_recording,
+)
 from gbid.rig import record
 
 FOLDER = "recordings"
@@ -23,32 +32,30 @@ FOLDER = "recordings"
 
 def make_rig_recordings(job: Job) -> list[Outcome]:
     """Make the recordings of the rig section, ``recordings/<name>.h5``; none without that section."""
-    outcomes = []
-    model = rig_model(job.experiment) if job.experiment.spec.rig else None
-    for planned in job.experiment.recordings.values():
-        if planned.imported is None and model is not None:
-            write = partial(_record, job.experiment, planned, model)
-            path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
-            outcomes.append(produce(job, "rig", planned.name, path, key, write))
-    return outcomes
+    return run_tasks(job, rig_tasks(job))
 
 
 def import_recordings(job: Job) -> list[Outcome]:
     """Read the recordings of the import section into ``recordings/<name>.h5``; none without that section."""
-    outcomes = []
-    for planned in job.experiment.recordings.values():
-        if planned.imported is not None:
-            path = job.path(FOLDER, planned.name)
-            try:
-                key = recording_key(job.experiment, planned)
-            except OSError as error:
-                outcome = Outcome("import", planned.name, path, "failed", f"{error.filename}: {error.strerror}")
-                job.reporter.end(outcome)
-            else:
-                write = partial(_import, job.experiment, planned)
-                outcome = produce(job, "import", planned.name, path, key, write)
-            outcomes.append(outcome)
-    return outcomes
+    return run_tasks(job, import_tasks(job))
+
+
+def rig_tasks(job: Job) -> list[Task]:
+    """List the tasks of the rig section, one for each recording."""
+    return [
+        _task(job, "rig", planned, _write_rig_recording)
+        for planned in job.experiment.recordings.values()
+        if planned.imported is None
+    ]
+
+
+def import_tasks(job: Job) -> list[Task]:
+    """List the tasks of the import section, one for each recording."""
+    return [
+        _task(job, "import", planned, _write_import)
+        for planned in job.experiment.recordings.values()
+        if planned.imported is not None
+    ]
 
 
 def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
@@ -57,12 +64,14 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
     Raises
     ------
     DataError
-        When the file does not hold what the mapping says, or a signal is constant or saturated.
+        When the file does not hold what the mapping says, an earlier recording holds the same samples, or something is
+        wrong with a signal that a fit uses.
     UsageError
         When units do not fit.
     """
     assert planned.imported is not None
     file = data_file(experiment, planned.imported)
+    refuse_same_content(experiment, planned)
     recording = import_recording(file, mapping_of(planned.imported))
     refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file)
     if not planned.imported.remove_mean:
@@ -72,10 +81,56 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
     return replace(recording, signals=centred, provenance=provenance)
 
 
+def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording, str, int]]:
+    """Read all recordings of the import section and tell what is wrong with each, alone and beside the others.
+
+    Returns
+    -------
+    list of (PlannedRecording, text, exit code)
+    """
+    found: list[tuple[PlannedRecording, str, int]] = []
+
+    def readable() -> Iterator[Recording]:
+        for planned in experiment.recordings.values():
+            if planned.imported is not None:
+                try:
+                    yield replace(read_import(experiment, planned), name=planned.name)
+                except GbidError as error:
+                    found.append((planned, str(error), error.exit_code))
+
+    beside = find_group_problems(readable())
+    for name, problems in beside.items():
+        found += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
+    return found
+
+
+def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:
+    """Refuse a recording that takes the same columns and samples from the same or a copied file as one before it.
+
+    Raises
+    ------
+    DataError
+        Naming the other recording.
+    """
+    mine = _content(experiment, planned)
+    for other in experiment.recordings.values():
+        if other.name == planned.name:
+            return
+        if other.imported is not None and _content(experiment, other) == mine:
+            raise DataError(
+                f"recording {planned.name!r} holds the same samples as {other.name!r}; leave one of them out, or "
+                "correct its file"
+            )
+
+
 def refuse_bad_signals(
-    planned: PlannedRecording, recording: Recording, used: Iterable[str], file: Path | None = None
+    planned: PlannedRecording,
+    recording: Recording,
+    used: Iterable[str],
+    file: Path | None = None,
+    kinds: Sequence[ProblemKind] | None = None,
 ) -> None:
-    """Refuse a recording with too few samples, or with a used channel that is constant or saturated.
+    """Refuse a recording in which `gbid.recording.find_problems` finds something that concerns the channels used.
 
     Parameters
     ----------
@@ -86,6 +141,8 @@ def refuse_bad_signals(
         Signals (``"p"``) or channels (``"p.x"``).
     file : pathlib.Path, optional
         Where it comes from, for the message.
+    kinds : collection of str, optional
+        Kinds of problems that count; all by default.
 
     Raises
     ------
@@ -96,10 +153,11 @@ def refuse_bad_signals(
     signals = dict.fromkeys(signal for signal, _, _ in wanted if signal in recording.signals)
     resting = [name for name, s in planned.imported.signals.items() if s.rests_at_limits] if planned.imported else []
     texts = []
-    for problem in find_problems(recording, signals):
+    for problem in find_problems(recording, signals, kinds):
         if problem.kind == "saturated" and problem.signal in resting:
             continue
-        if problem.signal and not any(s == problem.signal and c in ("", problem.channel) for s, _, c in wanted):
+        hit = [c for s, _, c in wanted if s == problem.signal]
+        if problem.signal and problem.channel and not {"", problem.channel} & set(hit):
             continue
         hint = " If it rests there by design, write rests_at_limits: true." if planned.imported else ""
         texts.append(problem.text + (hint if problem.kind == "saturated" else ""))
@@ -110,10 +168,9 @@ def refuse_bad_signals(
 def used_channels(experiment: Experiment, recording: str) -> list[str]:
     """Signals and channels that the fits take from a recording."""
     used: list[str] = []
-    for fit, section in experiment.spec.fits.items():
-        if recording in [q.name for q in experiment.fit_recordings(fit)]:
-            structure = make_structure(experiment, fit)
-            used += [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
+    for fit in experiment.fits_of.get(recording, ()):
+        section, structure = experiment.spec.fits[fit], make_structure(experiment, fit)
+        used += [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
     return list(dict.fromkeys(used))
 
 
@@ -122,18 +179,41 @@ def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:
     if planned.imported is not None:
         file = data_file(experiment, planned.imported)
         settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
-        return content_key("import", settings, [file_digest(file)])
-    rig = experiment.spec.rig
-    assert rig is not None
+        try:
+            digest = file_digest(file)
+        except OSError:  # the import will say so, and is tried again when the file can be read
+            digest = "cannot be read"
+        return content_key("import", settings, [digest])
+    known = _known_keys(experiment)
+    if planned.name not in known:
+        known[planned.name] = _rig_key(experiment, planned)
+    return known[planned.name]
+
+
+@lru_cache(maxsize=4)
+def _known_keys(_experiment: Experiment) -> dict[str, str]:
+    """Keys of recordings of the rig that were asked for already: an experiment does not change."""
+    return {}
+
+
+def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
     settings = {
-        "name": planned.name,
-        "seed": rig.seed,
-        "sample_time": rig.sample_time_s,
-        "conditions": dict(planned.conditions),
-        "experiment": asdict(rig_experiment(experiment, planned)),
+        **as_settings(record_options(experiment, planned)),
+        "experiment": {str(planned.run[0]): asdict(rig_experiment(experiment, planned))},
         "machine": asdict(machine_at(experiment, planned, rig_model(experiment))),
     }
     return content_key("rig", settings)
+
+
+def _content(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Digest of what a recording takes from its file, empty when the file cannot be read."""
+    assert planned.imported is not None
+    columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
+    taken = {"samples": planned.imported.samples, "signals": columns}
+    try:
+        return content_key("content", taken, [file_digest(data_file(experiment, planned.imported))])
+    except OSError:
+        return f"unreadable {planned.name}"
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:
@@ -166,31 +246,29 @@ def check_made(path: Path, key: str, command: str) -> None:
 
     Raises
     ------
-    DataError
+    InputError
         Naming the command that makes it.
     """
     if not path.is_file():
-        raise DataError(f"{path}: not there; `{command}` makes it")
+        raise InputError(f"{path}: not there; `{command}` makes it")
     found = stored_key(path)
     if not found:
-        raise DataError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
+        raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
     if found != key:
-        raise DataError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")
+        raise InputError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")
 
 
-def _record(experiment: Experiment, planned: PlannedRecording, model: LPVModel, part: Path) -> None:
-    rig = experiment.spec.rig
-    assert rig is not None
-    made = record(
-        machine_at(experiment, planned, model),
-        rig_experiment(experiment, planned),
-        conditions=planned.conditions,
-        seed=rig.seed,
-        name=planned.name,
-        sample_time=rig.sample_time_s,
-    )
+def _task(job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], None]) -> Task:
+    path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
+    return Task(stage, planned.name, path, key, write, (planned.name,))
+
+
+def _write_rig_recording(job: Job, name: str, part: Path) -> None:
+    experiment, planned = job.experiment, job.experiment.recordings[name]
+    machine = machine_at(experiment, planned, rig_model(experiment))
+    made = record(machine, rig_experiment(experiment, planned), **record_options(experiment, planned))
     save_recording(made, part, overwrite=True)
 
 
-def _import(experiment: Experiment, planned: PlannedRecording, part: Path) -> None:
-    save_recording(read_import(experiment, planned), part, overwrite=True)
+def _write_import(job: Job, name: str, part: Path) -> None:
+    save_recording(read_import(job.experiment, job.experiment.recordings[name]), part, overwrite=True)

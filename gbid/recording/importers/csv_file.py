@@ -54,6 +54,46 @@ def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
     return columns
 
 
+def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, Column]]:
+    """Look at the first and last row of a csv file only.
+
+    Returns
+    -------
+    int
+        Number of rows.
+    dict of str to Column
+        The two values of each column asked for.
+
+    Raises
+    ------
+    DataError
+        As `read_csv`, for what these rows show.
+    """
+    lines = _lines(path)
+    if len(lines) < 3:
+        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines; record longer")
+    ends = [lines[0], lines[1], lines[-1]]
+    try:
+        header, *rows = csv.reader(
+            (text for _, text in ends), delimiter=_delimiter(lines), skipinitialspace=True, strict=True
+        )
+    except csv.Error as error:
+        raise DataError(f"{path}: first or last row not readable as csv: {error}; export it again") from None
+    header = [cell.strip() for cell in header]
+    _check_header(path, header)
+    for (number, _), row in zip(ends[1:], rows, strict=True):
+        if len(row) != len(header):
+            raise DataError(
+                f"{path}: line {number} has {len(row)} cells, the header line has {len(header)}; is the file truncated?"
+            )
+    columns = {}
+    for reference in references:
+        index = _find(path, header, reference)
+        cells, numbers = [row[index] for row in rows], [number for number, _ in ends[1:]]
+        columns[reference] = Column(_numbers(path, header[index], cells, numbers), _unit(header[index]))
+    return len(lines) - 1, columns
+
+
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Lines with content and their numbers from 1, without comments and byte order mark."""
     try:

@@ -56,7 +56,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         value.
     """
     path = Path(path)
-    reader = _reader(path)
+    reader = file_reader(path)
     try:
         mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
     except UsageError as error:
@@ -92,7 +92,14 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise DataError(f"{path}: {error}") from None
 
 
-def _reader(path: Path) -> Reader:
+def file_reader(path: Path) -> Reader:
+    """Find the reader of a file by its ending.
+
+    Raises
+    ------
+    DataError
+        For an unknown ending.
+    """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
         raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(READERS)}")
@@ -128,9 +135,7 @@ def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column],
     if mapping.time is None:
         assert mapping.sample_time is not None  # ImportMapping sees to that
         return mapping.sample_time
-    values, given = columns[mapping.time]
-    unit = _file_unit(path, f"time column {mapping.time!r}", mapping.time_unit, given) or "s"
-    time = values * _factor(path, f"time column {mapping.time!r}", unit, "s")
+    time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
     steps = np.diff(time)
@@ -153,6 +158,20 @@ def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column],
             f"{mean:g} s; correct or leave out one of them"
         )
     return mapping.sample_time
+
+
+def time_factor(path: Path, mapping: ImportMapping, column: Column) -> float:
+    """Seconds in one unit of the time column.
+
+    Raises
+    ------
+    DataError
+        When file and mapping give different units.
+    UsageError
+        When the unit is no time.
+    """
+    what = f"time column {mapping.time!r}"
+    return _factor(path, what, _file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")
 
 
 def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Column]) -> tuple[FloatArray, str]:

@@ -1,0 +1,192 @@
+"""Time a campaign of many small fits through each engine; print throughput, overhead per fit and memory.
+
+``python -m benchmarks.campaign_speed [--full] [--fits N] [--samples N] [--engines serial pool dask] [--workers N]``
+
+Overhead is processor time of the runner and its workers per fit, from the second tenth of the fits on, less that of the
+fit alone: reading and checking the recording, keys, writing the result, the way to the worker and back. Processor time,
+because it does not depend on what else the machine does.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.campaign.collect import collect
+from gbid.campaign.run import run_campaign, working
+from gbid.experiment.keys import writing_keyed
+from gbid.experiment.load import Experiment, load_experiment
+from gbid.experiment.stages import Job, Outcome, rig_tasks
+from gbid.experiment.stages.fitting import fit_arguments
+from gbid.experiment.stages.performing import perform
+from gbid.experiment.structures import make_structure
+from gbid.identify import fit
+from gbid.recording import load_recording, save_recording
+
+_TICK = os.sysconf("SC_CLK_TCK")
+_NOISE = 30e-9  # m, new for each recording
+
+YAML = """\
+format: 1
+name: many
+rig:
+  operating_points: [{{pressure_bar: 6.0, speed_rpm: 0}}]
+  duration_s: {duration}
+  prbs: {{recordings: {fits}, amplitude_m: 2.0e-6, hold_s: 10.0e-3}}
+  stationary: {{recordings: 0}}
+fits:
+  piezos: {{structure: piezo_pair}}
+"""
+
+
+def make_campaign(folder: Path, fits: int, samples: int) -> Experiment:
+    """Store recordings of one and the same experiment with sensor noise of their own."""
+    path = folder / "experiment.yaml"
+    path.write_text(YAML.format(duration=samples * 2e-4, fits=fits), encoding="utf-8")
+    experiment = load_experiment(path)
+    tasks = rig_tasks(Job(experiment))
+    perform(Job(experiment), tasks[0])
+    first, random = load_recording(tasks[0].path), np.random.default_rng(1)
+    for task in tasks[1:]:
+        noisy = first.signal("p") + _NOISE * random.standard_normal(first.signal("p").shape)
+        with writing_keyed(task.path, task.key) as part:
+            save_recording(replace(first, name=task.item, signals={**first.signals, "p": noisy}), part, overwrite=True)
+    return experiment
+
+
+def time_of_a_fit(experiment: Experiment, repeats: int = 10) -> float:
+    """Processor time of a fit alone [s], compiled and warm."""
+    names = list(experiment.recordings)[:repeats]
+    data = [load_recording(experiment.results / "recordings" / f"{name}.h5") for name in names]
+    structure = make_structure(experiment, "piezos")
+    fit(structure, data[0], **fit_arguments(experiment, "piezos", data[:1]))
+    began = time.process_time()
+    for recording in data:
+        fit(structure, recording, **fit_arguments(experiment, "piezos", [recording]))
+    return (time.process_time() - began) / len(data)
+
+
+@dataclass
+class Meter:
+    """A reporter that looks at processor time and memory of the runner and its workers as the fits come in."""
+
+    total: int
+    processes: Any = None
+    done: int = 0
+    began: float = 0.0
+    looks: list[dict[str, float]] = field(default_factory=list)
+
+    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
+        self.began = time.perf_counter()
+
+    def begin(self, stage: str, item: str) -> None:
+        pass
+
+    def iteration(self, progress: Any) -> None:
+        pass
+
+    def end(self, outcome: Outcome) -> None:
+        if outcome.stage == "fit":
+            self.done += 1
+            if self.done in (max(1, self.total // 10), self.total):
+                self.look()
+
+    def look(self) -> None:
+        ids = [os.getpid(), *(self.processes() if self.processes else ())]
+        self.looks.append(
+            {
+                "done": self.done,
+                "wall_s": time.perf_counter() - self.began,
+                "cpu_s": sum(_cpu(pid) for pid in ids),
+                "runner_mb": _resident(ids[0]),
+                "worker_mb": max((_resident(pid) for pid in ids[1:]), default=0.0),
+            }
+        )
+
+
+def run_engine(experiment: Experiment, engine: str, workers: int, fit_s: float) -> dict[str, float | str]:
+    """Run the fits through one engine and sum up."""
+    for old in (experiment.results / "fits").rglob("*.h5"):
+        old.unlink()
+    meter = Meter(len(experiment.recordings))
+    with working(experiment, engine=engine, workers=workers, reporter=meter) as job:
+        meter.processes = _processes(job.engine)
+        outcomes = run_campaign(job)
+        before = time.process_time()
+        table, _ = collect(job)
+        collecting = time.process_time() - before
+    assert table.success.all(), [o.text for o in outcomes if o.state == "failed"][:3]
+    first, last = meter.looks
+    count = last["done"] - first["done"]
+    cpu = (last["cpu_s"] - first["cpu_s"]) / count
+    n_workers = 1 if engine == "serial" else workers
+    return {
+        "engine": engine,
+        "fits": len(table),
+        "fits_per_core_s": 1.0 / cpu,
+        "wall_per_fit_ms": 1e3 * n_workers * (last["wall_s"] - first["wall_s"]) / count,
+        "cpu_per_fit_ms": 1e3 * cpu,
+        "fit_alone_ms": 1e3 * fit_s,
+        "overhead_ms": 1e3 * (cpu - fit_s),
+        "collect_ms": 1e3 * collecting / len(table),
+        "runner_mb": last["runner_mb"],
+        "runner_growth_mb": last["runner_mb"] - first["runner_mb"],
+        "worker_mb": last["worker_mb"],
+        "worker_growth_mb": last["worker_mb"] - first["worker_mb"],
+    }
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(prog="benchmarks.campaign_speed", description="Time a campaign of small fits.")
+    parser.add_argument("--full", action="store_true", help="5 000 fits")
+    parser.add_argument("--fits", type=int, help="number of fits; 200 when not given")
+    parser.add_argument("--samples", type=int, default=1000, help="samples of a recording")
+    parser.add_argument("--engines", nargs="+", default=["serial", "pool", "dask"])
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    options = parser.parse_args(arguments)
+    fits = options.fits or (5000 if options.full else 200)
+    with tempfile.TemporaryDirectory() as folder:
+        experiment = make_campaign(Path(folder), fits, options.samples)
+        fit_s = time_of_a_fit(experiment)
+        rows = [run_engine(experiment, engine, options.workers, fit_s) for engine in options.engines]
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return 0
+    for key in rows[0]:
+        shown = (row[key] if isinstance(row[key], str | int) else f"{row[key]:.1f}" for row in rows)
+        print(f"{key:18}" + "".join(f"{value:>12}" for value in shown))
+    return 0
+
+
+def _processes(engine: Any) -> Any:
+    if hasattr(engine, "client"):
+        ids = list(engine.client.run(os.getpid).values())
+        return lambda: ids
+    return (lambda: engine.process_ids) if hasattr(engine, "process_ids") else None
+
+
+def _cpu(pid: int) -> float:
+    """Processor time of a process so far [s]."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / _TICK
+
+
+def _resident(pid: int) -> float:
+    """Resident memory of a process [MB]."""
+    pages = int(Path(f"/proc/{pid}/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,130 @@
+"""Files that appear under their name only when they are complete, and what killed processes leave behind."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import socket
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from gbid.errors import DataError, NoSpaceError, UsageError
+
+_ENDING = ".part"
+_DAY = 86400.0
+_OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)\.[^.]*\.part$")
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tells it in words
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
+    """Give a temporary path beside `path` that takes its place only when the block ends well.
+
+    What was written is on the disk before it takes the place: a power cut leaves the old file or the new one, complete.
+    A temporary path given by this function is written to as it is.
+
+    Raises
+    ------
+    UsageError
+        When `path` exists and `overwrite` is not set; nothing is touched then.
+    NoSpaceError
+        When the disk or the quota is full.
+    DataError
+        When the folder or the file cannot be written for another reason.
+    """
+    try:
+        exists = path.exists()
+    except OSError as error:  # a name too long, a folder that may not be entered
+        raise _cannot_write(path, error) from None
+    if exists and not overwrite:
+        raise UsageError(f"{path} exists already; choose another name or ask for overwriting")
+    if exists and _OURS.search(path.name):
+        yield path
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        prefix = f".{path.name}.{_host()}~{os.getpid()}."
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=_ENDING)
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    os.close(handle)
+    part = Path(name)
+    try:
+        yield part
+        mask = os.umask(0)
+        os.umask(mask)
+        part.chmod(0o666 & ~mask)
+        with part.open("rb") as written:
+            os.fsync(written.fileno())
+        part.replace(path)  # a power cut may undo this: then the old file is there, and the work is done again
+    except OSError as error:
+        raise _cannot_write(path, error) from None
+    except RuntimeError as error:  # HDF5 may find the disk full only when it closes the file
+        if not is_no_space(error):
+            raise
+        raise _cannot_write(path, error) from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def is_no_space(error: BaseException) -> bool:
+    """Whether an error says that the disk or the quota is full."""
+    return getattr(error, "errno", None) in _FULL or bool(_IN_WORDS.search(str(error)))
+
+
+def remove_stale_parts(folder: Path) -> list[Path]:
+    """Remove temporary files that killed processes left in a folder and below it.
+
+    Only those of gbid, and only those whose process is gone; a file of a process on another host stays for a day.
+
+    Returns
+    -------
+    list of pathlib.Path
+        What was removed.
+    """
+    removed = []
+    for path in folder.rglob(f".*{_ENDING}"):
+        found = _OURS.search(path.name)
+        if found and _is_stale(path, found["host"], int(found["process"])):
+            path.unlink(missing_ok=True)
+            removed.append(path)
+    return removed
+
+
+def _is_stale(path: Path, host: str, process: int) -> bool:
+    if host == _host() and not _is_alive(process):
+        return True
+    try:
+        return time.time() - path.stat().st_mtime > _DAY
+    except OSError:  # gone meanwhile
+        return False
+
+
+def _is_alive(process: int) -> bool:
+    if os.name != "posix":  # where the call below would end it
+        return True
+    try:
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return False
+    except OSError:  # of another user
+        return True
+    return True
+
+
+def _host() -> str:
+    return re.sub(r"[^A-Za-z0-9-]", "-", socket.gethostname())[:32]
+
+
+def _cannot_write(path: Path, error: Exception) -> DataError:
+    if is_no_space(error):
+        return NoSpaceError(
+            f"{path}: cannot be written: No space left in {path.parent}; make room and run again, "
+            "what is complete is kept"
+        )
+    return DataError(f"{path}: cannot be written: {getattr(error, 'strerror', None) or error}")

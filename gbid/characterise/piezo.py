@@ -1,0 +1,236 @@
+"""Piezo staircases (paper, Appendix A, Figs. A.28 and A.29): hysteresis, creep and uniformity of the steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.characterise.branches import branch_difference
+from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
+from gbid.errors import DataError, UsageError
+from gbid.recording import FloatArray, Recording
+
+BoolArray = npt.NDArray[np.bool_]
+
+_SMALL_STEP = 0.6  # of the median step gain: less of it on the way to the end of the travel is saturation
+_NEAR_LIMIT = 0.01  # of the range
+
+
+@dataclass(frozen=True, eq=False)
+class PiezoCurve:
+    """Stationary piezo position over voltage or reference, and its step responses.
+
+    Attributes
+    ----------
+    command, position, position_std : (n_plateaus,) array
+        Level of the command, steady mean of the position and its standard error.
+    time : (n_plateaus,) array
+        When each plateau begins [s].
+    direction : (n_plateaus,) array
+        1 when the last step led up, -1 down, 0 before the first.
+    hysteresis, hysteresis_std, hysteresis_at : float
+        Largest difference of position between up and down branch at the same command, its standard error, and the
+        command at which it occurs (Fig. A.28).
+    hysteresis_share : float
+        The same over the range of positions.
+    step : (n_steps,) array
+        Commanded steps.
+    step_gain : (n_steps,) array
+        Change of the steady position over each commanded step.
+    creep : (n_steps,) array
+        Change of the position from shortly after the step to the end of the plateau, over the change of position by
+        the step; 0.03 is a creep of 3 %.
+    saturated : (n_steps,) array of bool
+        Steps that lead to or from a position at the end of the travel.
+    uniformity : float
+        Standard deviation over mean of the step gains, without saturated steps; 0 for uniform steps.
+    response_time : (n_samples,) array
+        Time since the step [s].
+    responses : (n_samples, n_steps) array
+        Position since each step less the position before it (Fig. A.29 a), in the shortest length common to all.
+    name, channel : str
+        Recording, and channel of the position.
+    units : tuple of str
+        Units of command and position.
+    notes : tuple of str
+        What was found, by name.
+    """
+
+    command: FloatArray
+    position: FloatArray
+    position_std: FloatArray
+    time: FloatArray
+    direction: FloatArray
+    hysteresis: float
+    hysteresis_std: float
+    hysteresis_at: float
+    hysteresis_share: float
+    step: FloatArray
+    step_gain: FloatArray
+    creep: FloatArray
+    saturated: BoolArray
+    uniformity: float
+    response_time: FloatArray
+    responses: FloatArray
+    name: str
+    channel: str
+    units: tuple[str, str]
+    notes: tuple[str, ...] = ()
+
+
+def characterise_piezo(
+    recording: Recording,
+    *,
+    command: str = "r",
+    position: str = "u",
+    channel: str | None = None,
+    command_channel: str | None = None,
+    keep: float = 0.2,
+    settle_s: float = 0.02,
+    limits: tuple[float, float] | None = None,
+) -> PiezoCurve:
+    """Characterise a piezo stack or pair from a staircase up and down.
+
+    Parameters
+    ----------
+    recording : Recording
+        With the command (voltage or reference) and the position. A staircase of one channel; others may rest.
+    command, position : str
+        Names of these signals.
+    channel : str, optional
+        Channel of the position; by default the one of the command that moves.
+    command_channel : str, optional
+        Channel of the command; by default that of the position.
+    keep : float
+        Share of each plateau, from its end, that counts as stationary.
+    settle_s : float
+        Time after a step at which its fast part is over and creep begins to count [s]; the slowest pole of the
+        paper's actuators (Table 2) has decayed by e^-49 in 20 ms.
+    limits : (float, float), optional
+        Ends of the travel, in the unit of the position. Positions within 1 % of them are saturated. Without them,
+        steps towards an end of the recorded travel that are less than 0.6 of the usual size are.
+
+    Returns
+    -------
+    PiezoCurve
+
+    Raises
+    ------
+    UsageError
+        For wrong arguments.
+    DataError
+        When signals or channels are missing, the command does not step, or plateaus are too short.
+    """
+    channel, command_channel = _channels(recording, command, position, channel, command_channel)
+    x = recording.signal(command)[:, [recording.channels[command].index(command_channel)]]
+    y = recording.signal(position)[:, recording.channels[position].index(channel)]
+    own = Recording({command: x}, recording.sample_time, name=recording.name)
+    plateaus = find_plateaus(own, command)
+    steady = steady_means(y[:, None], steady_parts(own, plateaus, keep))
+    level, at = plateaus.level[:, 0], steady.mean[:, 0]
+    if np.ptp(at) == 0:
+        raise DataError(
+            f"recording {recording.name!r}: {position}_{channel} does not answer {command}_{command_channel}"
+        )
+    hysteresis, std, place = branch_difference(level, at, steady.std_error[:, 0])
+    step = np.diff(level)
+    gain = np.divide(np.diff(at), step, out=np.full(len(step), np.nan), where=step != 0)
+    saturated = _saturated(level, at, gain, limits)
+    usual = gain[~saturated & np.isfinite(gain)]
+    notes = []
+    if saturated.any():
+        where = ", ".join(f"{i + 1}" for i in np.flatnonzero(saturated))
+        notes.append(f"saturated: step {where} of {len(step)} (position {at.min():.4g} to {at.max():.4g})")
+    if np.isnan(hysteresis):
+        notes.append("the staircase goes one way only: nothing is known of hysteresis")
+    time, responses = _responses(y, plateaus, recording.sample_time)
+    return PiezoCurve(
+        command=level,
+        position=at,
+        position_std=steady.std_error[:, 0],
+        time=plateaus.start * recording.sample_time,
+        direction=np.sign(np.diff(level, prepend=level[:1])).astype(int),
+        hysteresis=hysteresis,
+        hysteresis_std=std,
+        hysteresis_at=place,
+        hysteresis_share=hysteresis / float(np.ptp(at)),
+        step=step,
+        step_gain=gain,
+        creep=_creep(recording, y, plateaus, keep, settle_s),
+        saturated=saturated,
+        uniformity=float(usual.std() / abs(usual.mean())) if usual.size else float("nan"),
+        response_time=time,
+        responses=responses,
+        name=recording.name,
+        channel=f"{position}_{channel}",
+        units=(recording.units[command], recording.units[position]),
+        notes=tuple(notes),
+    )
+
+
+def _channels(
+    rec: Recording, command: str, position: str, channel: str | None, command_channel: str | None
+) -> tuple[str, str]:
+    """Channel of the position and of the command."""
+    for name in (command, position):
+        if name not in rec.signals:
+            raise DataError(f"recording {rec.name!r} has no signal {name!r}; it has {', '.join(rec.signals)}")
+    if channel is None:
+        moving = rec.channels[command][int(np.ptp(rec.signal(command), axis=0).argmax())]
+        channel = command_channel or moving
+    command_channel = command_channel or channel
+    for name, wanted in ((position, channel), (command, command_channel)):
+        if wanted not in rec.channels[name]:
+            raise UsageError(
+                f"recording {rec.name!r}: signal {name!r} has no channel {wanted!r}, "
+                f"only {', '.join(rec.channels[name])}"
+            )
+    return channel, command_channel
+
+
+def _saturated(level: FloatArray, at: FloatArray, gain: FloatArray, limits: tuple[float, float] | None) -> BoolArray:
+    """Find the steps that lead to or from the end of the travel."""
+    if limits is not None:
+        low, high = limits
+        if not low < high:
+            raise UsageError(f"limits = {limits}; give the lower end first")
+        near = _NEAR_LIMIT * (high - low)
+        ended = (at <= low + near) | (at >= high - near)
+        return np.asarray(ended[:-1] | ended[1:])
+    usual = float(np.nanmedian(gain))
+    small = gain * np.sign(usual) < _SMALL_STEP * abs(usual)
+    ends = (level == level.min()) | (level == level.max())
+    # After a turn hysteresis makes a step small as well; on the way to the end only the travel that is used up does.
+    towards = small & ends[1:]
+    away = np.concatenate([[False], towards[:-1]]) & small
+    return np.asarray(towards | away)
+
+
+def _creep(rec: Recording, y: FloatArray, plateaus: Plateaus, keep: float, settle_s: float) -> FloatArray:
+    settle, sizes = round(settle_s / rec.sample_time), plateaus.stop - plateaus.start
+    if settle < 0 or sizes[1:].min() - settle < 2 * MIN_SAMPLES:
+        raise UsageError(
+            f"settle_s = {settle_s} s leaves too little of the shortest plateau ({sizes.min() * rec.sample_time:g} s)"
+        )
+    found = []
+    for k in range(1, len(plateaus)):
+        a, b, earlier = int(plateaus.start[k]), int(plateaus.stop[k]), int(plateaus.stop[k - 1])
+        width = max(MIN_SAMPLES, round(min(keep, 0.1) * (b - a - settle)))
+        before = y[max(int(plateaus.start[k - 1]), earlier - width) : earlier].mean()
+        early = y[a + settle : a + settle + width].mean()
+        moved = early - before
+        found.append((y[b - width : b].mean() - early) / moved if moved else np.nan)
+    return np.array(found)
+
+
+def _responses(y: FloatArray, plateaus: Plateaus, sample_time: float) -> tuple[FloatArray, FloatArray]:
+    """Step responses without their offsets in time and position."""
+    length = int((plateaus.stop - plateaus.start)[1:].min())
+    columns = []
+    for k in range(1, len(plateaus)):
+        a = int(plateaus.start[k])
+        before = y[max(a - MIN_SAMPLES, int(plateaus.start[k - 1])) : a].mean()
+        columns.append(y[a : a + length] - before)
+    return np.asarray(np.arange(length) * sample_time, dtype=float), np.column_stack(columns)

@@ -1,0 +1,177 @@
+"""Where a staircase stands still, and the means there with honest standard errors."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.errors import DataError, UsageError
+from gbid.recording import FloatArray, Recording
+
+MIN_SAMPLES = 40
+"""A plateau with fewer samples in its steady part says nothing of its own scatter."""
+_BATCHES = 10
+_HARMONICS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Plateaus:
+    """Stretches of a recording on which all channels of a command stand still.
+
+    Attributes
+    ----------
+    start, stop : (n_plateaus,) array of int
+        First sample and the one after the last.
+    level : (n_plateaus, n_channels) array
+        Command on each.
+    """
+
+    start: FloatArray
+    stop: FloatArray
+    level: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.start)
+
+
+def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPLES) -> Plateaus:
+    """Find the plateaus of a staircase from its command.
+
+    The command is taken as it was given out, without noise: it steps where it changes by more than 0.1 % of its whole
+    travel from one sample to the next. Stretches shorter than `min_samples` are passages between plateaus.
+
+    Parameters
+    ----------
+    rec : Recording
+        The staircase.
+    command : str
+        Name of the commanded signal, e.g. r.
+    min_samples : int
+        Fewest samples of a plateau.
+
+    Returns
+    -------
+    Plateaus
+        At least three, in time order.
+
+    Raises
+    ------
+    DataError
+        When there is no such signal, it does not move, or has fewer than three plateaus.
+    """
+    values = rec.signal(command)
+    travel = float(np.ptp(values, axis=0).max())
+    if travel == 0:
+        raise DataError(f"recording {rec.name!r}: {command} does not move; a staircase steps up and down")
+    moved = np.abs(np.diff(values, axis=0)).max(axis=1) > 1e-3 * travel
+    edges = np.concatenate([[0], np.flatnonzero(moved) + 1, [len(values)]])
+    start, stop = edges[:-1], edges[1:]
+    long = stop - start >= min_samples
+    start, stop = start[long], stop[long]
+    if len(start) < 3:
+        raise DataError(
+            f"recording {rec.name!r}: {command} has {len(start)} plateaus of at least {min_samples} samples; "
+            f"a staircase has three or more, and {command} must be the command itself, not a noisy measurement of it"
+        )
+    level = np.array([np.median(values[a:b], axis=0) for a, b in zip(start, stop, strict=True)])
+    return Plateaus(start, stop, level)
+
+
+@dataclass(frozen=True, eq=False)
+class SteadyMeans:
+    """Means of a signal on the steady parts of plateaus.
+
+    Attributes
+    ----------
+    mean : (n_plateaus, n_channels) array
+    std_error : (n_plateaus, n_channels) array
+        Standard errors of the means; correlation from sample to sample and drift are in them.
+    drift : (n_plateaus, n_channels) array
+        Change over the steady part, by a straight line.
+    """
+
+    mean: FloatArray
+    std_error: FloatArray
+    drift: FloatArray
+
+
+def steady_parts(rec: Recording, plateaus: Plateaus, keep: float) -> list[tuple[int, int]]:
+    """First sample of the part of each plateau that counts as steady, its end, and the one after the last.
+
+    Parameters
+    ----------
+    rec : Recording
+    plateaus : Plateaus
+    keep : float
+        Share of each plateau that is kept, above 0, at most 1.
+
+    Raises
+    ------
+    UsageError
+        When `keep` is not such a share.
+    DataError
+        When too few samples remain.
+    """
+    if not 0 < keep <= 1:
+        raise UsageError(f"keep = {keep}; give the share of each plateau that is steady, above 0 and at most 1")
+    parts = []
+    for a, b in zip(plateaus.start.astype(int), plateaus.stop.astype(int), strict=True):
+        first = b - round(keep * (b - a))
+        if b - first < MIN_SAMPLES:
+            raise DataError(
+                f"recording {rec.name!r}: {b - first} steady samples on the plateau from sample {a}, at least "
+                f"{MIN_SAMPLES} are needed; hold each step longer or keep more of it"
+            )
+        parts.append((first, b))
+    return parts
+
+
+def steady_means(values: FloatArray, parts: list[tuple[int, int]], angle: FloatArray | None = None) -> SteadyMeans:
+    r"""Means over the steady parts, with standard errors that hold for correlated noise and for drift.
+
+    Each part is cut into ten batches; their means scatter by what noise of any colour does on that time scale, and
+    :math:`s / \sqrt{10}` is the error of the whole mean. A straight line of more than four of its
+    standard errors shows a signal not yet at rest: half its rise over the part is added in square.
+
+    Parameters
+    ----------
+    values : (n_samples, n_channels) array
+    parts : list of (first, stop)
+    angle : (n_samples,) array, optional
+        Shaft angle [rad]. Of a part with two turns or more, the first six harmonics are taken off by least squares, so
+        that run-out and unbalance do not show in its mean, whether or not it holds whole turns.
+
+    Returns
+    -------
+    SteadyMeans
+    """
+    means, errors, drifts = [], [], []
+    for first, stop in parts:
+        part = values[first:stop]
+        if angle is not None:
+            part = _without_harmonics(part, angle[first:stop])
+        size = len(part) // _BATCHES
+        batch = part[len(part) - size * _BATCHES :].reshape(_BATCHES, size, -1).mean(axis=1)
+        place = np.arange(_BATCHES) - (_BATCHES - 1) / 2
+        slope = place @ batch / (place @ place)
+        scatter = batch - batch.mean(axis=0) - np.outer(place, slope)
+        slope_error = np.sqrt((scatter**2).sum(axis=0) / (_BATCHES - 2) / (place @ place))
+        drift = slope * _BATCHES
+        unsettled = np.where(np.abs(slope) > 4 * slope_error, drift / 2, 0.0)
+        means.append(part.mean(axis=0))
+        errors.append(np.sqrt(batch.var(axis=0, ddof=1) / _BATCHES + unsettled**2))
+        drifts.append(drift)
+    return SteadyMeans(np.array(means), np.array(errors), np.array(drifts))
+
+
+def _without_harmonics(part: FloatArray, angle: FloatArray) -> FloatArray:
+    """Take off what follows the shaft angle, but not the mean."""
+    turns = abs(float(np.unwrap(angle)[-1] - angle[0])) / (2 * np.pi)
+    if turns < 2:
+        return part
+    orders = np.arange(1.0, min(_HARMONICS, len(part) / turns / 3) + 1)
+    phase = np.outer(angle, orders)
+    basis = np.hstack([np.ones((len(part), 1)), np.cos(phase), np.sin(phase)])
+    solution = np.linalg.lstsq(basis, part, rcond=None)[0]
+    return np.asarray(part - basis[:, 1:] @ solution[1:])

@@ -1,0 +1,192 @@
+"""From staircase recordings to the static map (paper, Sec. 3.1)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gbid.characterise.branches import branch_difference
+from gbid.characterise.plateaus import find_plateaus, steady_means, steady_parts
+from gbid.characterise.static_map import StaticMap
+from gbid.errors import DataError, UsageError
+from gbid.recording import FloatArray, Recording
+
+_AT_REST = 0.01  # of the whole travel of the command
+
+
+def characterise_staircase(
+    recordings: Recording | Sequence[Recording],
+    *,
+    command: str = "r",
+    source: str = "u",
+    position: str = "p",
+    keep: float = 0.5,
+) -> StaticMap:
+    r"""Map steady inputs to steady positions, by least squares, from staircases up and down.
+
+    The plateaus are found from the command; of each the last part counts as steady. Least squares on the steady
+    means give the gains, and one offset for each recording, so that recordings with a staircase in x and in y go
+    together. The residual covariance scales that of the gains, unless the means themselves are less certain than the
+    residuals show (a drift that all share, say): then their standard errors do.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        With command, input and position, in raw form: run-out is taken off with the angle (phi), and a prefilter that
+        removes means or adds a median has nothing to do here. All of one operating point.
+    command : str
+        Signal that tells where the plateaus are.
+    source : str
+        Input of the map: the measured piezo position difference u; the command itself when u was not recorded.
+    position : str
+        Output of the map.
+    keep : float
+        Share of each plateau, from its end, that counts as steady.
+
+    Returns
+    -------
+    StaticMap
+
+    Raises
+    ------
+    UsageError
+        For a share that is none, or no recording.
+    DataError
+        When signals are missing, the recordings differ in channels or conditions, plateaus are missing or too
+        short, or fewer plateaus than unknowns are there.
+    """
+    group = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not group:
+        raise UsageError("no staircase recording given; the static map needs at least one")
+    _check_alike(group, (command, source, position))
+    notes: list[str] = []
+    rows = [_of_one(rec, number, command, source, position, keep) for number, rec in enumerate(group)]
+    table = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+
+    u, p, number = table["input_mean"], table["output_mean"], table["recording"].astype(int)
+    moved = np.ptp(table["command"], axis=0) > _AT_REST * np.ptp(table["command"], axis=0).max()
+    if command != source and moved.size != u.shape[1]:
+        raise DataError(
+            f"recording {group[0].name!r}: {command} has {moved.size} channels, {source} has {u.shape[1]}; "
+            "they must match"
+        )
+    for name in (f"{source}_{c}" for c, m in zip(group[0].channels[source], moved, strict=True) if not m):
+        notes.append(f"no recording moves {name}: its gains are not known")
+    basis = np.hstack([u[:, moved], np.eye(len(group))[number]])
+    dof = len(basis) - basis.shape[1]
+    if dof < 1 or np.linalg.matrix_rank(basis / np.abs(basis).max(axis=0)) < basis.shape[1]:
+        raise DataError(
+            f"{len(basis)} plateaus of {', '.join(rec.name for rec in group)} do not determine the gains of "
+            f"{moved.sum()} inputs and the offsets; record more steps, and inputs that do not move together"
+        )
+    solution = np.linalg.lstsq(basis, p, rcond=None)[0]
+    residual = p - basis @ solution
+    gain = np.full((p.shape[1], u.shape[1]), np.nan)
+    gain[:, moved] = solution[: moved.sum()].T
+    per_panel = _deviations(table, residual, u.shape[1], p.shape[1])
+    return StaticMap(
+        gain=gain,
+        covariance=_covariance(basis, residual, table["output_std"], moved, dof),
+        offset=solution[moved.sum() :],
+        dof=dof,
+        **per_panel,
+        residual=residual,
+        **table,
+        input_names=tuple(f"{source}_{c}" for c in group[0].channels[source]),
+        output_names=tuple(f"{position}_{c}" for c in group[0].channels[position]),
+        units=(group[0].units[source], group[0].units[position]),
+        conditions=dict(group[0].conditions),
+        sources=tuple(rec.name for rec in group),
+        notes=tuple(notes),
+    )
+
+
+def _check_alike(group: list[Recording], signals: tuple[str, ...]) -> None:
+    first = group[0]
+    for rec in group:
+        for name in signals:
+            if name not in rec.signals:
+                raise DataError(
+                    f"recording {rec.name!r} has no signal {name!r}, only {', '.join(rec.signals)}; name the signals "
+                    "of the staircase (command, source, position)"
+                )
+            if rec.channels[name] != first.channels[name] or rec.units[name] != first.units[name]:
+                raise DataError(f"recordings {first.name!r} and {rec.name!r} differ in channels or unit of {name}")
+        if dict(rec.conditions) != dict(first.conditions):
+            raise DataError(
+                f"recordings {first.name!r} and {rec.name!r} are of different conditions; make one map for each point"
+            )
+
+
+def _of_one(
+    rec: Recording, number: int, command: str, source: str, position: str, keep: float
+) -> dict[str, FloatArray]:
+    """Plateaus of one recording as columns of a table."""
+    plateaus = find_plateaus(rec, command)
+    parts = steady_parts(rec, plateaus, keep)
+    angle = rec.signal("phi")[:, 0] if "phi" in rec.signals else None
+    u, p = steady_means(rec.signal(source), parts), steady_means(rec.signal(position), parts, angle)
+    level = plateaus.level
+    away = np.abs(level - level[0]) > _AT_REST * np.ptp(level, axis=0).max()
+    axis = np.where(away.sum(axis=1) == 1, away.argmax(axis=1), np.where(away.any(axis=1), -2, -1))
+    change = np.diff(level, axis=0, prepend=level[:1])
+    largest = np.abs(change).argmax(axis=1)
+    direction = np.sign(change[np.arange(len(level)), largest])
+    return {
+        "recording": np.full(len(level), number),
+        "axis": axis,
+        "direction": direction.astype(int),
+        "command": level,
+        "input_mean": u.mean,
+        "input_std": u.std_error,
+        "output_mean": p.mean,
+        "output_std": p.std_error,
+        "drift": p.drift,
+        "time": np.array(parts) * rec.sample_time,
+    }
+
+
+def _covariance(
+    basis: FloatArray, residual: FloatArray, std_error: FloatArray, moved: FloatArray, dof: int
+) -> FloatArray:
+    """Covariance of the gains, row by row."""
+    n_inputs, n_outputs = len(moved), residual.shape[1]
+    inverse = np.linalg.inv(basis.T @ basis)[: moved.sum(), : moved.sum()]
+    noise = residual.T @ residual / dof
+    least = np.mean(std_error**2, axis=0)
+    raise_by = np.sqrt(np.maximum(least / np.maximum(np.diag(noise), 1e-300), 1.0))
+    noise = noise * np.outer(raise_by, raise_by) + np.diag(np.where(np.diag(noise) == 0, least, 0.0))
+    full = np.full((n_outputs, n_inputs, n_outputs, n_inputs), np.nan)
+    block = np.einsum("ik,jl->ijkl", noise, inverse)
+    index = np.flatnonzero(moved)
+    every = np.arange(n_outputs)
+    full[np.ix_(every, index, every, index)] = block
+    return full.reshape(n_outputs * n_inputs, -1)
+
+
+def _deviations(
+    table: dict[str, FloatArray], residual: FloatArray, n_inputs: int, n_outputs: int
+) -> dict[str, FloatArray]:
+    """Root mean square, largest and branch difference of the deviations, on the staircase of each input."""
+    found = {
+        name: np.full((n_outputs, n_inputs), np.nan) for name in ("rms", "largest", "hysteresis", "hysteresis_std")
+    }
+    for j in range(n_inputs):
+        if not (table["axis"] == j).any():
+            continue
+        with_stairs = np.unique(table["recording"][table["axis"] == j])
+        rest = (table["axis"] == -1) & np.isin(table["recording"], with_stairs)
+        chosen = (table["axis"] == j) | rest
+        for i in range(n_outputs):
+            e = residual[chosen, i]
+            found["rms"][i, j], found["largest"][i, j] = np.sqrt(np.mean(e**2)), np.abs(e).max()
+            widest = (np.nan, np.nan, np.nan)
+            for number in with_stairs:
+                own = chosen & (table["recording"] == number)
+                difference = branch_difference(
+                    table["input_mean"][own, j], residual[own, i], table["output_std"][own, i]
+                )
+                widest = widest if difference[0] <= widest[0] else difference
+            found["hysteresis"][i, j], found["hysteresis_std"][i, j] = widest[:2]
+    return found

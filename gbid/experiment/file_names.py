@@ -1,0 +1,83 @@
+"""File names that tell what is in the file, by patterns such as ``p{pressure_bar:g}_n{speed_rpm:d}_{kind}.mat``."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from gbid.errors import UsageError
+
+_FIELD = re.compile(r"\{(?P<name>[^{}:]*)(?::(?P<kind>[^{}]*))?\}")
+_NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
+_FORMS = {"g": _NUMBER, "d": r"[-+]?\d+", "": r"[^/]+?"}
+
+
+@dataclass(frozen=True)
+class NamePattern:
+    """A pattern of file names.
+
+    Attributes
+    ----------
+    text : str
+        As it was written.
+    fields : tuple of str
+    numbers : tuple of str
+        Those of the fields that are numbers: conditions.
+    regex : re.Pattern
+    """
+
+    text: str
+    fields: tuple[str, ...]
+    numbers: tuple[str, ...]
+    regex: re.Pattern[str]
+
+    def read(self, path: str) -> dict[str, str | float] | None:
+        """Fields of a file name, numbers as numbers; None when it does not fit.
+
+        Parameters
+        ----------
+        path : str
+            Relative, with ``/``.
+        """
+        match = self.regex.fullmatch(path)
+        if match is None:
+            return None
+        found = match.groupdict()
+        return {name: float(found[name]) if name in self.numbers else found[name] for name in self.fields}
+
+
+def name_pattern(text: str) -> NamePattern:
+    """Read a pattern.
+
+    Raises
+    ------
+    UsageError
+        When a field has no name, an unknown form, or is there twice; when a brace stands alone.
+    """
+    parts, fields, numbers, end = [], [], [], 0
+    for match in _FIELD.finditer(text):
+        name, form = match["name"], match["kind"] or ""
+        parts.append(_literal(text, text[end : match.start()]))
+        end = match.end()
+        if not name.isidentifier():
+            raise UsageError(f"{text!r}: {match[0]} names no field; write {{name}}, {{kind}} or {{pressure_bar:g}}")
+        if form not in _FORMS:
+            raise UsageError(f"{text!r}: {match[0]}: unknown form {form!r}; write :g for a number, :d for a whole one")
+        if name in fields:
+            raise UsageError(f"{text!r}: field {name!r} is there twice; rename or remove one")
+        if form and name in ("name", "kind"):
+            raise UsageError(f"{text!r}: {name} is a word, not a number; write {{{name}}}")
+        if not form and name in ("pressure_bar", "speed_rpm"):
+            raise UsageError(f"{text!r}: {name} is a number; write {{{name}:g}}")
+        fields.append(name)
+        if form:
+            numbers.append(name)
+        parts.append(f"(?P<{name}>{_FORMS[form]})")
+    parts.append(_literal(text, text[end:]))
+    return NamePattern(text, tuple(fields), tuple(numbers), re.compile("".join(parts)))
+
+
+def _literal(text: str, part: str) -> str:
+    if "{" in part or "}" in part:
+        raise UsageError(f"{text!r}: a brace stands alone; write fields as {{name}}")
+    return re.escape(part)

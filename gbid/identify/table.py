@@ -1,0 +1,250 @@
+"""Many fits in one table: the result of a campaign."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import UsageError
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+TextArray = npt.NDArray[np.str_]
+
+_PARAMETER = ("values", "std")
+_MODE = ("mode_frequency_hz", "mode_frequency_std_hz", "mode_damping", "mode_damping_std")
+_GAIN = ("static_gain", "static_gain_std")
+
+
+@dataclass(frozen=True, eq=False)
+class FitTable:
+    """One row for each fit of a campaign, those that failed included.
+
+    n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table: what a
+    fit does not have is nan. A fit that failed has nan throughout and its reason in `status`.
+
+    Attributes
+    ----------
+    fit : (n,) array of str
+        Name of the fit in the experiment, e.g. ``"bearing"``.
+    model : (n,) array of str
+        Which of its models: name of the recording, or ``"together"``.
+    structure : (n,) array of str
+        Name of the structure; empty for a fit that failed.
+    recordings : tuple of tuple of str
+        Recordings that each row was fitted to.
+    pressure_bar, speed_rpm : (n,) array
+        Operating point; nan when not known, or when the recordings have several.
+    parameter_names : tuple of str, k
+    units : tuple of str, k
+        Units of the parameters.
+    values : (n, k) array
+        Estimates, and fixed values; delays are among them (``tau_x``, in s).
+    std : (n, k) array
+        Standard deviations as in `gbid.FitResult.std`: 0 fixed, nan none.
+    covariance : (n, k, k) array
+        The one to trust (`gbid.FitResult.covariance`); rows and columns of fixed parameters are 0.
+    mode_frequency_hz, mode_frequency_std_hz : (n, m) array
+        Natural frequencies by rising frequency [Hz].
+    mode_damping, mode_damping_std : (n, m) array
+        Damping factors.
+    gain_names : tuple of str, g
+        ``"u_x to p_x"`` and so on.
+    static_gain, static_gain_std : (n, g) array
+    output_names : tuple of str, q
+    fit_percent : (n, q) array
+        Fit in percent; the smallest of its recordings for a fit to several.
+    success : (n,) array of bool
+        Whether the fit is there and converged.
+    status : (n,) array of str
+        Status of the fit, or why it failed.
+    notes : tuple of tuple of str
+    iterations : (n,) array of int
+    wall_time_s : (n,) array
+        Time that the fit took [s].
+    """
+
+    fit: TextArray
+    model: TextArray
+    structure: TextArray
+    recordings: tuple[tuple[str, ...], ...]
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    parameter_names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: FloatArray
+    std: FloatArray
+    covariance: FloatArray
+    mode_frequency_hz: FloatArray
+    mode_frequency_std_hz: FloatArray
+    mode_damping: FloatArray
+    mode_damping_std: FloatArray
+    gain_names: tuple[str, ...]
+    static_gain: FloatArray
+    static_gain_std: FloatArray
+    output_names: tuple[str, ...]
+    fit_percent: FloatArray
+    success: BoolArray
+    status: TextArray
+    notes: tuple[tuple[str, ...], ...]
+    iterations: npt.NDArray[np.int64]
+    wall_time_s: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.fit)
+
+    def parameter(self, name: str) -> FloatArray:
+        """Estimates of one parameter, (n,).
+
+        Raises
+        ------
+        UsageError
+            When no fit of the table has it.
+        """
+        if name not in self.parameter_names:
+            raise UsageError(f"no parameter {name!r} in the table; there are {', '.join(self.parameter_names)}")
+        return self.values[:, self.parameter_names.index(name)]
+
+    def covariance_of(self, names: Sequence[str]) -> FloatArray:
+        """Covariances of some parameters in the order given, (n, len(names), len(names)).
+
+        Raises
+        ------
+        UsageError
+            When no fit of the table has one of them.
+        """
+        for name in names:
+            self.parameter(name)
+        at = [self.parameter_names.index(name) for name in names]
+        return self.covariance[:, at][:, :, at]
+
+    def select(
+        self,
+        mask: npt.ArrayLike | None = None,
+        *,
+        fit: str | None = None,
+        pressure_bar: float | None = None,
+        speed_rpm: float | None = None,
+        success: bool | None = None,
+    ) -> FitTable:
+        """Keep some rows, and of the columns those that these rows have.
+
+        Parameters
+        ----------
+        mask : (n,) array of bool, optional
+            Rows to keep.
+        fit : str, optional
+            Rows of one fit of the experiment.
+        pressure_bar, speed_rpm : float, optional
+            Rows of one pressure [bar] or speed [rpm].
+        success : bool, optional
+            True for fits that converged, False for the others.
+
+        Returns
+        -------
+        FitTable
+
+        Raises
+        ------
+        UsageError
+            For a fit that is not in the table, or a mask of another length.
+        """
+        keep = np.ones(len(self), dtype=bool) if mask is None else np.asarray(mask)
+        if keep.dtype != bool or keep.shape != (len(self),):
+            raise UsageError(f"mask: expected {len(self)} values true or false, found {keep.dtype} {keep.shape}")
+        if fit is not None:
+            if fit not in self.fit:
+                raise UsageError(f"no fit {fit!r} in the table; there are {', '.join(dict.fromkeys(self.fit))}")
+            keep = keep & (self.fit == fit)
+        if pressure_bar is not None:
+            keep = keep & np.isclose(self.pressure_bar, pressure_bar)
+        if speed_rpm is not None:
+            keep = keep & np.isclose(self.speed_rpm, speed_rpm)
+        if success is not None:
+            keep = keep & (self.success == success)
+        rows = np.flatnonzero(keep)
+        chosen: dict[str, Any] = {}
+        for field in fields(self):
+            values = getattr(self, field.name)
+            if isinstance(values, np.ndarray):
+                chosen[field.name] = values[rows]
+            elif field.name in ("recordings", "notes"):
+                chosen[field.name] = tuple(values[i] for i in rows)
+        return replace(self, **chosen)._without_empty_columns()
+
+    def row(self, fit: str, model: str) -> dict[str, Any]:
+        """One row as a dict, with the names of `columns`.
+
+        Raises
+        ------
+        UsageError
+            When there is none.
+        """
+        found = np.flatnonzero((self.fit == fit) & (self.model == model))
+        if not found.size:
+            raise UsageError(f"no model {model!r} of fit {fit!r} in the table")
+        return {name: values[found[0]] for name, (values, _) in self.columns().items()}
+
+    def columns(self) -> Mapping[str, tuple[npt.NDArray[Any], str]]:
+        """All columns in order, each with its unit; these are the columns of the CSV file.
+
+        Returns
+        -------
+        dict of str to (array, str)
+            ``k_xx`` and ``k_xx_std``, ``mode1_frequency_hz``, ``gain_u_x_to_p_x``, ``fit_percent_p_x`` and so on.
+        """
+        found: dict[str, tuple[npt.NDArray[Any], str]] = {
+            "fit": (self.fit, ""),
+            "model": (self.model, ""),
+            "structure": (self.structure, ""),
+            "recordings": (_joined(self.recordings, " "), ""),
+            "pressure_bar": (self.pressure_bar, "bar"),
+            "speed_rpm": (self.speed_rpm, "rpm"),
+            "success": (self.success, ""),
+            "status": (self.status, ""),
+            "iterations": (self.iterations, ""),
+        }
+        for j, name in enumerate(self.output_names):
+            found[f"fit_percent_{name}"] = (self.fit_percent[:, j], "%")
+        for j, (name, unit) in enumerate(zip(self.parameter_names, self.units, strict=True)):
+            found[name] = (self.values[:, j], unit)
+            found[f"{name}_std"] = (self.std[:, j], unit)
+        for j in range(self.mode_frequency_hz.shape[1]):
+            for attribute in _MODE:
+                unit = "Hz" if attribute.endswith("_hz") else "1"
+                name = attribute.replace("mode_", f"mode{j + 1}_")
+                found[name] = (getattr(self, attribute)[:, j], unit)
+        for j, name in enumerate(self.gain_names):
+            column = f"gain_{name.replace(' ', '_')}"
+            found[column] = (self.static_gain[:, j], "")
+            found[f"{column}_std"] = (self.static_gain_std[:, j], "")
+        found["notes"] = (_joined(self.notes, "; "), "")
+        found["wall_time_s"] = (self.wall_time_s, "s")
+        return found
+
+    def _without_empty_columns(self) -> FitTable:
+        p, m, g, q = (
+            np.flatnonzero(np.isfinite(block).any(axis=0))
+            for block in (self.values, self.mode_frequency_hz, self.static_gain, self.fit_percent)
+        )
+        chosen: dict[str, Any] = {name: getattr(self, name)[:, p] for name in _PARAMETER}
+        chosen |= {name: getattr(self, name)[:, m] for name in _MODE}
+        chosen |= {name: getattr(self, name)[:, g] for name in _GAIN}
+        return replace(
+            self,
+            **chosen,
+            covariance=self.covariance[:, p][:, :, p],
+            fit_percent=self.fit_percent[:, q],
+            parameter_names=tuple(self.parameter_names[i] for i in p),
+            units=tuple(self.units[i] for i in p),
+            gain_names=tuple(self.gain_names[i] for i in g),
+            output_names=tuple(self.output_names[i] for i in q),
+        )
+
+
+def _joined(texts: Sequence[Sequence[str]], by: str) -> TextArray:
+    return np.array([by.join(each) for each in texts], dtype=str)

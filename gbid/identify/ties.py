@@ -1,0 +1,76 @@
+"""Parameters of a structure that are linear in unknowns shared by all recordings, as surfaces make them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.predictor import Predictor
+from gbid.structure import Parameter
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Ties:
+    """In record i the parameters `names` have the values ``maps[i] @ shared + lift @ own``.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Parameters of the structure.
+    shared : tuple of Parameter
+        The unknowns in their place.
+    maps : (n_records, n_names, n_shared) array
+    own : tuple of Parameter
+        Further unknowns, which each record has for itself; there may be none.
+    lift : (n_names, n_own) array
+    """
+
+    names: tuple[str, ...]
+    shared: tuple[Parameter, ...]
+    maps: FloatArray
+    own: tuple[Parameter, ...]
+    lift: FloatArray
+
+    def own_names(self, record: str) -> dict[str, str]:
+        """Full names of what a record has for itself."""
+        return {q.name: f"{q.name}[{record}]" for q in self.own}
+
+
+def tie_of(
+    predictor: Predictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, record: int
+) -> tuple[tuple[int, ...], FloatArray]:
+    """Unknowns that one record sees, and the matrix from them to its predictor's parameters.
+
+    Parameters
+    ----------
+    predictor : Predictor
+    names : dict of str to str
+        Full names of its parameters that are not tied, and of what it has for itself.
+    position : dict of str to int
+        Place of each unknown by full name.
+    ties : Ties
+    record : int
+
+    Returns
+    -------
+    tuple of int
+    (n_own, n_unknowns) array
+    """
+    own = [q.name for q in predictor.free if q.name in names]
+    index = [position[q.name] for q in ties.shared] + [position[names[name]] for name in own]
+    index += [position[names[q.name]] for q in ties.own]
+    tie = np.zeros((len(predictor.free), len(index)))
+    n_shared, n_lift = len(ties.shared), len(ties.own)
+    for row, q in enumerate(predictor.free):
+        if q.name in names:
+            tie[row, n_shared + own.index(q.name)] = 1.0
+        else:
+            at = ties.names.index(q.name)
+            tie[row, :n_shared] = ties.maps[record][at]
+            tie[row, len(index) - n_lift :] = ties.lift[at]
+    return tuple(index), tie

@@ -1,0 +1,187 @@
+"""Recordings of an encoder whose index was never seen: the angle starts anywhere, the run-out tells where."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from gbid.errors import DataError, UsageError
+from gbid.prefilter.runout import TURN, RunoutMap
+from gbid.prefilter.shaft import ShaftMotion, shaft_motion
+from gbid.recording import FloatArray, Recording
+
+SURE = 5.0
+"""Standard deviations by which every other offset must be worse."""
+_GRID = 3600  # offsets looked at, then refined
+_MAX_BLOCKS = 20
+
+
+@dataclass(frozen=True, eq=False)
+class IndexAlignment:
+    """Angle between the zero of a recording's encoder and that of a map.
+
+    Attributes
+    ----------
+    offset : float
+        What must be added to the recorded angle, within [0, 2 pi) [rad].
+    std : float
+        Its standard deviation [rad].
+    margin : float
+        By how many standard deviations the next best offset is worse. Run-out of few harmonics looks alike
+        after part of a turn, and then this is small.
+    next_best : float
+        That offset [rad].
+    explained : float
+        Part of the recording's synchronous motion, as mean square, that the aligned map accounts for; near 1 when the
+        map holds for the recording, small or negative when it is of another operating point or machine.
+    offsets, misfit : (n,) array
+        Offsets looked at [rad], and the squared deviation at each in standard deviations, for a picture.
+    """
+
+    offset: float
+    std: float
+    margin: float
+    next_best: float
+    explained: float
+    offsets: FloatArray
+    misfit: FloatArray
+
+    @property
+    def sure(self) -> bool:
+        """Whether no other offset is nearly as good (5 standard deviations) and the map explains half of it."""
+        return self.margin >= SURE and self.explained >= 0.5
+
+    def apply(self, rec: Recording) -> Recording:
+        """Return the recording with its angle counted from the map's zero.
+
+        Raises
+        ------
+        DataError
+            When the offset is not sure; add it to phi yourself if you know better.
+        """
+        if not self.sure:
+            raise DataError(
+                f"recording {rec.name!r}: the missing index cannot be told from the run-out: "
+                f"{np.rad2deg(self.offset):.1f} or {np.rad2deg(self.next_best):.1f} degrees "
+                f"({self.margin:.1f} standard deviations apart, {self.explained:.0%} explained); "
+                "use a longer recording, or one with the index"
+            )
+        note = f"{np.rad2deg(self.offset):.3f} degrees added to phi (std {np.rad2deg(self.std):.3f})"
+        aligned = rec.with_signals(phi=np.mod(rec.signal("phi") + self.offset, TURN))
+        return replace(aligned, provenance={**rec.provenance, "index": note})
+
+
+def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10) -> IndexAlignment:
+    r"""Find the angle offset of a recording whose encoder had no index.
+
+    The harmonics :math:`A_n` of the recorded position over the recorded angle and those of the map, :math:`M_n`, differ
+    by a turn: :math:`A_n = M_n e^{i n \delta}`. The offset minimises
+    :math:`J(\delta) = \sum_n |A_n - M_n e^{i n \delta}|^2 / \sigma_n^2` over all channels, a circular correlation
+    in which each harmonic has the weight that its scatter between parts of the recording gives it, and what the map
+    left of its own recordings; so a recording with moving piezos serves as well, its answer being scatter only. The
+    curvature at the minimum gives the standard deviation, and :math:`\sqrt{J(\delta_2) - J(\delta)}` at the next lowest
+    minimum how sure the choice is.
+
+    Parameters
+    ----------
+    runout_map : RunoutMap
+        From recordings with one common zero of the angle, and of the same operating point.
+    recording : Recording
+        With p and phi; at least 8 turns. The piezos may move.
+    orders : int
+        Harmonics used, at most those of the map.
+
+    Returns
+    -------
+    IndexAlignment
+
+    Raises
+    ------
+    UsageError
+        When `orders` is below 1, or the map is of a shaft at rest.
+    DataError
+        When signals are missing, channels differ, or there are too few turns.
+    """
+    if orders < 1:
+        raise UsageError(f"orders = {orders}; give at least 1")
+    if not runout_map.needs_angle:
+        raise UsageError("the run-out map is that of a shaft at rest; it knows no angle to align")
+    p, motion = recording.signal("p"), shaft_motion(recording)
+    if recording.channels["p"] != runout_map.channels:
+        raise DataError(f"recording {recording.name!r} and the run-out map differ in the channels of p")
+    if motion.turns < 8:
+        raise DataError(
+            f"recording {recording.name!r}: {motion.turns:.1f} turns are too few to find the index; "
+            "at least 8 are needed"
+        )
+    expected = _map_phasors(runout_map, orders)
+    n = np.arange(1.0, len(expected) + 1)
+    parts = _phasors(motion, p, n)
+    found = parts.mean(axis=0)
+    variance = parts.var(axis=0, ddof=1) / len(parts)  # of the real and imaginary part together
+    # The map is not exact either: white errors of rms_after over as many samples as its turns hold.
+    n_map = recording.n_samples * max(runout_map.turns, 1.0) / motion.turns
+    variance = variance + 4 * runout_map.rms_after**2 / n_map
+    variance = np.maximum(variance, 1e-12 * float(np.abs(expected).max()) ** 2)  # noise-free data: finite weights
+
+    def misfit(offset: FloatArray) -> FloatArray:
+        turned = expected[None] * np.exp(1j * n[None, :, None] * offset[:, None, None])
+        return np.asarray(np.sum(2 * np.abs(found[None] - turned) ** 2 / variance[None], axis=(1, 2)))
+
+    grid = np.arange(_GRID) * TURN / _GRID
+    curve = misfit(grid)
+    minima = np.flatnonzero((curve <= np.roll(curve, 1)) & (curve < np.roll(curve, -1)))
+    refined = [_refined(misfit, grid[i]) for i in minima]
+    refined.sort(key=lambda entry: entry[1])
+    offset, least, curvature = refined[0]
+    other, other_misfit = refined[1][:2] if len(refined) > 1 else ((offset + np.pi) % TURN, float(curve.max()))
+    aligned = expected * np.exp(1j * n[:, None] * offset)
+    return IndexAlignment(
+        offset=offset,
+        std=float(np.sqrt(2 / curvature)),
+        margin=float(np.sqrt(max(other_misfit - least, 0.0))),
+        next_best=other,
+        explained=float(1 - np.sum(np.abs(found - aligned) ** 2) / np.sum(np.abs(found) ** 2)),
+        offsets=grid,
+        misfit=curve,
+    )
+
+
+def _map_phasors(runout_map: RunoutMap, orders: int) -> FloatArray:
+    """Complex amplitudes of the map's harmonics 1, 2, ..., (n_orders, n_channels)."""
+    highest = int(runout_map.orders.max()) if runout_map.orders.size else len(runout_map.angles) // 2
+    n_points = 4096
+    values = runout_map.evaluate(np.arange(n_points) * TURN / n_points)
+    return np.asarray(np.fft.rfft(values, axis=0)[1 : min(orders, highest) + 1] * 2 / n_points)
+
+
+def _phasors(motion: ShaftMotion, p: FloatArray, orders: FloatArray) -> FloatArray:
+    """Complex amplitudes in each of several parts of whole turns, (n_parts, n_orders, n_channels)."""
+    course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
+    n_parts = int(min(_MAX_BLOCKS, motion.turns // 2))
+    edges = np.searchsorted(course, TURN * np.floor(motion.turns / n_parts) * np.arange(n_parts + 1))
+    parts = []
+    for first, last in pairwise(edges):
+        phase = np.outer(motion.angle[first:last], orders)
+        basis = np.hstack([np.ones((last - first, 1)), np.cos(phase), np.sin(phase)])
+        solution = np.linalg.lstsq(basis, p[first:last], rcond=None)[0]
+        cosine, sine = np.split(solution[1:], 2)
+        parts.append(cosine - 1j * sine)
+    return np.array(parts)
+
+
+def _refined(misfit: object, start: float) -> tuple[float, float, float]:
+    """Lowest point of the parabola through three neighbours, its value and the curvature."""
+    assert callable(misfit)
+    step = TURN / _GRID
+    for _ in range(3):
+        low, mid, high = misfit(np.array([start - step, start, start + step]))
+        curvature = (low - 2 * mid + high) / step**2
+        if curvature <= 0:
+            break
+        start = start + np.clip((low - high) / (2 * step * curvature), -step, step)
+        step /= 4
+    value = float(misfit(np.array([start]))[0])
+    return float(np.mod(start, TURN)), value, float(max(curvature, 1e-300))

@@ -1,0 +1,129 @@
+"""The prefilter sample by sample, as a controller needs it: same numbers as the offline filter, bit for bit."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import DataError, UsageError
+from gbid.prefilter.runout import RunoutMap
+from gbid.recording import FloatArray
+
+
+class OnlinePrefilter:
+    """Run-out map, fixed offset and median on one sample at a time (paper, Sec. 3.5 and conclusion: "online").
+
+    The numbers are those of `gbid.prefilter` on the whole recording, to the last bit, with two differences that no
+    filter without a view of the future can avoid:
+
+    - The median of 3 needs the sample after. `step` therefore gives the value that belongs to ``median // 2``
+      samples ago, one sample (0.2 ms) for the paper's median of 3, none for ``median=1``. The first
+      ``median // 2`` calls give None; `finish` gives the values still held back.
+    - The mean of a recording is known only at its end. Online it is a fixed `offset`: by default zero, which
+      leaves the map's own mean as the zero, and equals the offline filter with ``remove_mean=False``. With
+      ``offset=report.offsets["p"]`` of an earlier recording it repeats what was removed from that one.
+
+    Parameters
+    ----------
+    runout_map : RunoutMap or None
+        From `gbid.identify_runout` at the operating point at hand; None removes no run-out.
+    offset : (n_channels,) array, optional
+        Taken off after the map [m]; zero by default.
+    median : int
+        Size of the median, odd; 1 for none.
+
+    Raises
+    ------
+    UsageError
+        When `median` is not odd and positive, or `offset` does not fit the map's channels.
+
+    Examples
+    --------
+    >>> online = OnlinePrefilter(None, median=3)
+    >>> [online.step([value], None) for value in (0.0, 1.0, 2.0)]
+    [None, array([0.]), array([1.])]
+    >>> online.finish()
+    [array([2.])]
+    """
+
+    def __init__(self, runout_map: RunoutMap | None, *, offset: npt.ArrayLike | None = None, median: int = 3) -> None:
+        if median < 1 or median % 2 == 0:
+            raise UsageError(f"median = {median}; give an odd number of samples, 1 for none")
+        self._map = runout_map
+        self._offset = None if offset is None else np.atleast_1d(np.asarray(offset, dtype=float))
+        if runout_map is not None and self._offset is not None and self._offset.shape != runout_map.mean.shape:
+            raise UsageError(f"offset has shape {self._offset.shape}, the run-out map {runout_map.mean.shape} channels")
+        self._half = median // 2
+        self._window: deque[FloatArray] = deque(maxlen=median)
+        self.start()
+
+    @property
+    def delay(self) -> int:
+        """Samples by which the output is late: half the size of the median, rounded down."""
+        return self._half
+
+    def start(self) -> None:
+        """Forget all earlier samples."""
+        self._window.clear()
+        self._count = 0
+
+    def step(self, position: Sequence[float] | FloatArray, angle: float | None) -> FloatArray | None:
+        """Take in one sample.
+
+        Parameters
+        ----------
+        position : (n_channels,) sequence of float
+            Disc position as measured [m].
+        angle : float or None
+            Shaft angle [rad], wrapped or not; None is allowed where the map needs none.
+
+        Returns
+        -------
+        (n_channels,) array or None
+            The filtered position of `delay` samples ago [m]; None while there is none yet.
+
+        Raises
+        ------
+        DataError
+            When a number is not finite, the channels do not fit the map, or the angle is missing. The state stays
+            as it was, so that the caller may leave the sample out and go on.
+        """
+        newest = self._without_runout(np.asarray(position, dtype=float), angle)
+        self._window.append(newest)
+        self._count += 1
+        if self._count <= self._half:
+            return None
+        if self._count <= 2 * self._half:  # the first samples stay as they are, as offline
+            return self._window[self._count - 1 - self._half].copy()
+        return np.asarray(np.sort(np.array(self._window), axis=0)[self._half])
+
+    def finish(self) -> list[FloatArray]:
+        """Give the values still held back, unfiltered by the median as the ends are offline, and start anew.
+
+        Returns
+        -------
+        list of (n_channels,) array
+            At most `delay` of them, the oldest first.
+        """
+        held = min(self._half, self._count)
+        rest = list(self._window)[len(self._window) - held :]
+        self.start()
+        return rest
+
+    def _without_runout(self, position: FloatArray, angle: float | None) -> FloatArray:
+        if position.ndim != 1 or not np.isfinite(position).all():
+            raise DataError(f"position {position} is not one sample of finite numbers; leave the sample out")
+        made, value = self._map, position
+        if made is not None:
+            if position.shape != made.mean.shape:
+                raise DataError(f"position has {len(position)} channels, the run-out map {len(made.mean)}")
+            if not made.needs_angle:
+                value = value - made.mean
+            elif angle is None or not np.isfinite(angle):
+                raise DataError(f"angle = {angle}; the run-out map needs the shaft angle [rad] of each sample")
+            else:
+                value = value - made.evaluate(np.array([float(angle)]))[0]
+        return np.asarray(value if self._offset is None else value - self._offset)

@@ -1,0 +1,153 @@
+"""Whether the sensors answer the excitation, and the right one: dead sensors and swapped channels.
+
+No model enters. From segments of the recording the frequency response H of all outputs to all inputs that move is
+estimated where the inputs have their power, and with it the multiple coherence, the share of an output that the
+inputs explain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import betaincinv
+
+from gbid.recording.quality_problem import SignalProblem
+from gbid.recording.recording import FloatArray, Recording
+
+SEGMENTS = (10, 20)
+"""Fewest and most parts of the recording; its spectra are averages over them."""
+GOOD_SEGMENT, MIN_SEGMENT = 500, 50
+"""Samples of a segment that are enough, and those that are needed."""
+POWER = 0.9
+"""Share of the input power whose frequencies are looked at."""
+CROSSED = 1.5
+"""Cross gains larger than the direct ones both ways, by this factor in the geometric mean, are swapped channels. At the
+15 operating points of the published machine the cross gains are at most 0.2 of the direct ones."""
+CHANCE = 0.95
+"""Quantile of the coherence of unrelated signals at one frequency; the median of several stays below it."""
+SYNCHRONOUS = 2
+"""Harmonics of the shaft's angle that are taken off first."""
+_MOVES = 1e-3  # of the largest standard deviation of the inputs
+
+
+class _Answer(NamedTuple):
+    """How outputs answer inputs, over the band of the inputs."""
+
+    gain: FloatArray  # rms of |H|, weighted by input power, (n_outputs, n_inputs); NaN for inputs that do not move
+    coherence: FloatArray  # median of the multiple coherence, (n_outputs,)
+    chance: float  # what unrelated signals reach
+
+
+def find_answer_problems(rec: Recording) -> Iterator[SignalProblem]:
+    """Find sensors of u and p that do not answer, and swapped channels, in a recording with moving piezos.
+
+    The chain is r to u to p. Against r, as commanded, u and p are checked; without r, p is checked against u, and then
+    it cannot be told which of the two is swapped. Nothing is found in a recording whose inputs do not move, and nothing
+    about signals with other channels than x and y.
+    """
+    chain = [name for name in ("r", "u", "p") if name in rec.signals and rec.channels[name] == ("x", "y")]
+    if len(chain) < 2:
+        return
+    source = chain[0]
+    swapped = []
+    for name in chain[1:]:
+        answer = _answer(rec.signal(source), _without_turning(rec, rec.signal(name)))
+        if answer is None:
+            return
+        yield from _dead(rec, source, name, answer)
+        if _crossed(answer):
+            swapped.append(name)
+    if swapped:
+        yield _swapped(rec, chain, swapped)
+
+
+def _swapped(rec: Recording, chain: list[str], swapped: list[str]) -> SignalProblem:
+    """Name the signal whose channels are exchanged, as far as the others tell."""
+    source, followers = chain[0], chain[1:]
+    if swapped != followers:
+        name, which, other = swapped[0], f"signal {swapped[0]!r}", source
+    elif len(followers) > 1:  # all that follow the source are crossed alike: it is the source itself
+        name, which, other = source, f"signal {source!r}", followers[-1]
+    else:
+        name, which, other = followers[0], f"either {source!r} or {followers[0]!r}", source
+    text = (
+        f"recording {rec.name!r}: {which} has x and y swapped: each channel of {name!r} goes with the other axis of "
+        f"{other!r} more than with its own; exchange the columns in the mapping, or the cables."
+    )
+    return SignalProblem(name, "", "swapped", text)
+
+
+def _dead(rec: Recording, source: str, name: str, answer: _Answer) -> Iterator[SignalProblem]:
+    for j, channel in enumerate(rec.channels[name]):
+        values = rec.signal(name)[:, j]
+        if values.min() == values.max() or np.isnan(answer.gain[0, j]):
+            continue  # constant is a problem of its own; an axis that does not move tells nothing of its sensor
+        if answer.coherence[j] < answer.chance:
+            text = (
+                f"recording {rec.name!r}: signal {name!r} channel {channel!r} is dead: it does not answer {source!r} "
+                f"(coherence {answer.coherence[j]:.2f}; signals without relation reach {answer.chance:.2f}); check the "
+                "sensor, its cable and the column of the mapping."
+            )
+            yield SignalProblem(name, channel, "dead", text)
+
+
+def _crossed(answer: _Answer) -> bool:
+    g = answer.gain
+    moving = np.flatnonzero(~np.isnan(g[0]))
+    alive = answer.coherence >= answer.chance
+    if len(moving) == 2:
+        crossed, direct = np.array([g[0, 1], g[1, 0]]), np.diag(g)
+        return bool(alive.all() and (crossed > direct).all() and crossed.prod() > CROSSED**2 * direct.prod())
+    (j,) = moving
+    return bool(alive[1 - j] and g[1 - j, j] > CROSSED * g[j, j])
+
+
+def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
+    """Estimate gain and coherence; None when no input moves or the recording is too short."""
+    n_segments = int(np.clip(len(inputs) // GOOD_SEGMENT, *SEGMENTS))
+    std = inputs.std(axis=0)
+    if len(inputs) < n_segments * MIN_SEGMENT or std.max() == 0:
+        return None
+    moving = np.flatnonzero(std > _MOVES * std.max())
+    u, y = _spectra(inputs[:, moving], n_segments), _spectra(outputs, n_segments)
+    s_uu = np.einsum("kfi,kfj->fij", u, u.conj())
+    s_yu = np.einsum("kfi,kfj->fij", y, u.conj())
+    s_yy = np.sum(np.abs(y) ** 2, axis=0)
+    power = np.einsum("fii->f", s_uu).real
+    order = np.argsort(power)[::-1]
+    band = order[: max(3, int(np.searchsorted(np.cumsum(power[order]), POWER * power.sum())) + 1)]
+    s_uu, s_yu, s_yy = s_uu[band], s_yu[band], s_yy[band]
+    ridge = 1e-9 * power[band].max() * np.eye(len(moving))  # inputs that are one and the same signal
+    h = np.linalg.solve((s_uu + ridge).transpose(0, 2, 1), s_yu.transpose(0, 2, 1)).transpose(0, 2, 1)
+    explained = np.einsum("fij,fij->fi", h, s_yu.conj()).real
+    coherence = np.divide(explained, s_yy, out=np.zeros_like(s_yy), where=s_yy > 0)
+    gain = np.full((outputs.shape[1], inputs.shape[1]), np.nan)
+    own_power = np.einsum("fjj->fj", s_uu).real
+    gain[:, moving] = np.sqrt(np.einsum("fij,fj->ij", np.abs(h) ** 2, own_power) / own_power.sum(axis=0))
+    chance = float(betaincinv(len(moving), n_segments - len(moving), CHANCE))
+    return _Answer(gain, np.median(coherence, axis=0), chance)
+
+
+def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:
+    """Take off what follows the shaft angle, which in short records leaks into the frequencies of the excitation."""
+    if "phi" not in rec.signals:
+        return values
+    phi = rec.signal("phi")[:, 0]
+    turned = np.exp(1j * phi)
+    if abs(turned.mean()) > 0.1:  # still, or less than some turns
+        return values
+    rest = values - values.mean(axis=0)
+    for order in range(1, SYNCHRONOUS + 1):
+        wave = turned**order
+        rest = rest - 2 * np.outer(wave, wave.conj() @ rest / len(rest)).real
+    return np.asarray(rest)
+
+
+def _spectra(values: FloatArray, n_segments: int) -> FloatArray:
+    """Fourier coefficients of Hann-windowed segments without the lowest frequency, (n_segments, n_frequencies, n)."""
+    length = len(values) // n_segments
+    parts = values[: length * n_segments].reshape(n_segments, length, -1)
+    parts = parts - parts.mean(axis=1, keepdims=True)
+    return np.asarray(np.fft.rfft(parts * np.hanning(length)[None, :, None], axis=1)[:, 1:])

@@ -1,0 +1,92 @@
+"""What is wrong with recordings only beside each other: one content under two names, one clock unlike the others."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterable
+
+import numpy as np
+
+from gbid.recording.quality_problem import SignalProblem
+from gbid.recording.recording import Recording
+
+MAX_LEVELS = 4
+"""A command with no more distinct values is a test signal that is held (PRBS)."""
+
+
+def content_digest(rec: Recording) -> str:
+    """Return sha256 of all signals, bit for bit, whatever the recording is called."""
+    digest = hashlib.sha256()
+    for name in sorted(rec.signals):
+        digest.update(f"{name}{rec.signal(name).shape}".encode())
+        digest.update(np.ascontiguousarray(rec.signal(name)).tobytes())
+    return digest.hexdigest()
+
+
+def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[SignalProblem]]:
+    """Compare recordings of one experiment.
+
+    Two with the same samples are one recording, of which the second is named. And where most recordings hold their
+    command r for the same time, one that holds it for the same number of samples but another time has a wrong
+    sample time.
+
+    Parameters
+    ----------
+    recordings : iterable of Recording
+        They are looked at one after the other; a generator keeps memory small.
+
+    Returns
+    -------
+    dict of str to list of SignalProblem
+        By name of the recording; only those with problems.
+    """
+    first: dict[str, str] = {}
+    holds: dict[str, tuple[int, float]] = {}
+    found: dict[str, list[SignalProblem]] = {}
+    for rec in recordings:
+        digest = content_digest(rec)
+        if digest in first:
+            text = (
+                f"recording {rec.name!r} holds the same samples as {first[digest]!r}; leave one of them out, or "
+                "correct its file."
+            )
+            found.setdefault(rec.name, []).append(SignalProblem("", "", "duplicate", text))
+        first.setdefault(digest, rec.name)
+        hold = _hold(rec)
+        if hold:
+            holds[rec.name] = hold, rec.sample_time
+    for name, text in _odd_clocks(holds):
+        found.setdefault(name, []).append(SignalProblem("", "", "sample_time", text))
+    return found
+
+
+def _hold(rec: Recording) -> int:
+    """Count the samples for which a command with few levels is held, at least; 0 when there is none."""
+    if "r" not in rec.signals:
+        return 0
+    shortest = []
+    for column in rec.signal("r").T:
+        changes = np.flatnonzero(np.diff(column))
+        if len(changes) >= 10 and len(np.unique(column)) <= MAX_LEVELS:
+            shortest.append(int(np.gcd.reduce(np.diff(changes))))
+    return min(shortest, default=0)
+
+
+def _odd_clocks(holds: dict[str, tuple[int, float]]) -> list[tuple[str, str]]:
+    """Find recordings whose command is held for as many samples as most others' but for another time."""
+    times = Counter(f"{samples * step:.6g}" for samples, step in holds.values())
+    if not times:
+        return []
+    usual, count = times.most_common(1)[0]
+    samples_of_usual = {samples for samples, step in holds.values() if f"{samples * step:.6g}" == usual}
+    odd = []
+    for name, (samples, step) in holds.items():
+        if count >= 2 and f"{samples * step:.6g}" != usual and samples in samples_of_usual:
+            text = (
+                f"recording {name!r}: sample_time = {step:g} s is unlike the others': r is held for {samples} samples "
+                f"as theirs, which is {samples * step:g} s and not {usual} s; a sample time of "
+                f"{float(usual) / samples:.4g} s would fit."
+            )
+            odd.append((name, text))
+    return odd

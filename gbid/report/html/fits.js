@@ -1,0 +1,133 @@
+// The fit selector: one fit at a time, its numbers and how it follows the recording, from the data in the page.
+"use strict";
+
+const Fits = (() => {
+  let data = null;
+  let root = null;
+
+  const part = (name) => root.querySelector(`#fit-${name}`);
+
+  // Curves are stored as 16-bit numbers with a factor.
+  function curve({ scale, values }) {
+    const bytes = Uint8Array.from(atob(values), (c) => c.charCodeAt(0));
+    return Array.from(new Int16Array(bytes.buffer), (v) => v * scale);
+  }
+
+  function rows(body, table) {
+    body.replaceChildren();
+    for (const cells of table) {
+      const tr = document.createElement("tr");
+      cells.forEach((text, i) => {
+        const cell = document.createElement(i === 0 ? "th" : "td");
+        if (i === 0) cell.scope = "row";
+        cell.textContent = text;
+        tr.appendChild(cell);
+      });
+      body.appendChild(tr);
+    }
+    body.closest("table").hidden = table.length === 0;
+  }
+
+  function plot(host, trace, output) {
+    const time = output.measured.values && Array.from({ length: output.n }, (_, i) => 1e3 * (trace.start + i * trace.step));
+    const unit = output.unit;
+    Charts.draw(host, {
+      title: `${output.name}, measured and simulated, from ${Charts.number(trace.start)} s`,
+      x: { label: `time [ms], ${trace.recording}`, min: time[0], max: time[time.length - 1] },
+      y: { label: `${output.name} [${unit}]` },
+      height: 220,
+      series: [
+        { name: "measured", style: 0, x: time, y: curve(output.measured) },
+        { name: "simulated", style: 1, x: time, y: curve(output.simulated) },
+      ],
+    });
+  }
+
+  function residual(host, trace, output) {
+    const n = output.error_n;
+    const time = Array.from({ length: n }, (_, i) => ((i + 0.5) * trace.duration) / n);
+    Charts.draw(host, {
+      title: `${output.name}, range of measured minus simulated over the whole recording`,
+      x: { label: "time [s], whole recording", min: 0, max: trace.duration },
+      y: { label: `error [${output.unit}]` },
+      height: 140,
+      series: [{ name: `${output.name}: measured − simulated, smallest to largest`, style: 2, x: time, low: curve(output.error_low), high: curve(output.error_high) }],
+    });
+  }
+
+  function show(name, keepHash = false) {
+    const fit = data.fits[name];
+    if (!fit) return;
+    part("select").value = name;
+    part("title").textContent = fit.title;
+    const status = part("status");
+    status.textContent = fit.status;
+    status.className = `verdict ${fit.state}`;
+    rows(part("parameters"), fit.parameters);
+    rows(part("mode-rows"), fit.modes);
+    rows(part("gain-rows"), fit.gains);
+    const facts = part("facts");
+    facts.replaceChildren();
+    for (const [word, text] of fit.facts) {
+      facts.appendChild(Object.assign(document.createElement("dt"), { textContent: word }));
+      facts.appendChild(Object.assign(document.createElement("dd"), { textContent: text }));
+    }
+    const curves = part("curves");
+    curves.replaceChildren();
+    fit.traces.forEach((trace, k) =>
+      trace.outputs.forEach((output, i) => {
+        for (const [kind, drawn] of [["curve", plot], ["error", residual]]) {
+          const host = document.createElement("div");
+          host.id = `fit-${kind}-${k}-${i}`;
+          host.className = "chart";
+          curves.appendChild(host);
+          drawn(host, trace, output);
+        }
+      }),
+    );
+    if (!fit.traces.length) curves.textContent = fit.no_trace;
+    const order = Object.keys(data.fits);
+    const at = order.indexOf(name);
+    part("previous").disabled = at === 0;
+    part("next").disabled = at === order.length - 1;
+    if (!keepHash) {
+      try {
+        history.replaceState(null, "", `#fit&${encodeURIComponent(name)}`);
+      } catch {
+        // some browsers refuse this for files; the page works without it
+      }
+    }
+  }
+
+  function step(by) {
+    const order = Object.keys(data.fits);
+    const next = order[order.indexOf(part("select").value) + by];
+    if (next) show(next);
+  }
+
+  function fromHash() {
+    const [word, name] = location.hash.slice(1).split("&");
+    if (word !== "fit" || !name) return false;
+    show(decodeURIComponent(name), true);
+    root.scrollIntoView();
+    return true;
+  }
+
+  function start() {
+    const found = document.getElementById("fit-data");
+    root = document.getElementById("fit");
+    if (!found || !root) return;
+    data = JSON.parse(found.textContent);
+    root.hidden = false;
+    part("select").addEventListener("change", (event) => show(event.target.value));
+    part("previous").addEventListener("click", () => step(-1));
+    part("next").addEventListener("click", () => step(1));
+    if (!fromHash()) show(part("select").value, true);
+    window.addEventListener("hashchange", fromHash);
+    const again = () => show(part("select").value, true);
+    window.addEventListener("resize", again);
+    window.addEventListener("beforeprint", again);
+  }
+
+  return { start };
+})();

@@ -1,0 +1,22 @@
+// Starts the page. What goes wrong in it is listed on top, not hidden in the console.
+"use strict";
+
+function reportFault(text) {
+  const list = document.getElementById("page-errors");
+  list.hidden = false;
+  list.appendChild(Object.assign(document.createElement("li"), { textContent: `This page has a fault: ${text}` }));
+}
+
+window.addEventListener("error", (event) => reportFault(event.message));
+window.addEventListener("unhandledrejection", (event) => reportFault(String(event.reason)));
+
+document.addEventListener("DOMContentLoaded", () => {
+  document.documentElement.classList.add("scripted");
+  for (const part of [Fits, Explorer]) {
+    try {
+      part.start();
+    } catch (error) {
+      reportFault(`${error.name}: ${error.message}`);
+    }
+  }
+});

@@ -1,0 +1,75 @@
+"""Figures of matplotlib as SVG inside a page."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import dataclass
+from html import escape
+from itertools import count
+from typing import TYPE_CHECKING
+
+import matplotlib as mpl
+
+from gbid.report.figures import STYLE
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_IDS = re.compile(r'(\bid="|href="#|url\(#)')
+_SIZE = re.compile(r'<svg\b[^>]*?viewBox="(?P<box>[^"]+)"[^>]*>')
+_LONG = re.compile(r"(-?\d+\.\d{2})\d+")
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure in a page.
+
+    Attributes
+    ----------
+    svg : str
+        The element, with the alternative text in it.
+    caption : str
+    """
+
+    svg: str
+    caption: str
+
+
+class Pictures:
+    """Makes the pictures of one page; each has ids of its own."""
+
+    def __init__(self) -> None:
+        self._numbers = count(1)
+
+    def picture(self, figure: Figure, alt: str, caption: str = "") -> Picture:
+        """Turn a figure into SVG.
+
+        Parameters
+        ----------
+        figure : matplotlib Figure
+        alt : str
+            What a reader who cannot see it should know.
+        caption : str
+            Shown below it; the alternative text when left out.
+        """
+        buffer = io.StringIO()
+        # Letters as outlines: a phone without these fonts shows them as they are.
+        with mpl.rc_context(fname=STYLE), mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"}):
+            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
+
+
+def _embedded(text: str, prefix: str, alt: str) -> str:
+    """Leave the element alone, without what only a file needs; ids get a prefix, numbers two decimals."""
+    body = text[text.index("<svg") :]
+    body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
+    found = _SIZE.search(body)
+    assert found is not None
+    body = body[found.end() :]
+    body = _LONG.sub(r"\1", _IDS.sub(rf"\g<1>{prefix}", body.replace("xlink:href", "href")))
+    body = re.sub(r"\n\s*", "\n", body)
+    width, height = found["box"].split()[2:]
+    # matplotlib measures in points of 1/72 inch, a page in pixels of 1/96
+    look = f'style="max-width:{float(width) * 4 / 3:.0f}px" class="picture"'
+    return f'<svg {look} viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">{body}'

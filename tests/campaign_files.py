@@ -1,0 +1,120 @@
+"""Small campaigns for the tests, and tasks that do strange things in a worker."""
+
+import csv
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from experiment_files import SPRING_STRUCTURE, write_spring_data
+
+from gbid.errors import DataError, NoSpaceError
+from gbid.experiment.stages import Made, Task
+
+ROOT = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+ENTRY = """\
+    - name: run{i}
+      file: run{i}.csv
+      time: time
+      conditions: {{pressure_bar: {pressure}, speed_rpm: 0}}
+      signals: {{u: {{columns: drive, stored_unit: V, channels: u}}, y: {{columns: position, stored_unit: um}}}}
+"""
+
+
+def write_springs(folder: Path, count: int, n: int = 400, fit: str = "focus: simulation", damage=None) -> Path:
+    """A campaign on `count` csv files of a mass on a spring; `damage` spoils some of them, by number."""
+    folder.mkdir(parents=True, exist_ok=True)
+    entries = "".join(ENTRY.format(i=i, pressure=3 + i % 5) for i in range(1, count + 1))
+    path = folder / "experiment.yaml"
+    path.write_text(
+        f"format: 1\nname: springs\nimport:\n  data_folder: data\n  recordings:\n{entries}"
+        f'fits:\n  spring: {{structure: "spring.py:structure", {fit}}}\n'
+    )
+    (folder / "spring.py").write_text(SPRING_STRUCTURE)
+    (folder / "data").mkdir(exist_ok=True)
+    for i in range(1, count + 1):
+        write_spring_data(folder / "data" / f"run{i}.csv", i, n=n, damage=(damage or {}).get(i))
+    return path
+
+
+def batch(*arguments, **options) -> subprocess.Popen:
+    """`gbid batch` as its own process."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "gbid.cli.main", "batch", *map(str, arguments)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def workers_of(process: subprocess.Popen) -> list[int]:
+    """Worker processes of a runner; those that keep track of resources are none."""
+    try:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        return [int(c) for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
+    except OSError:
+        return []
+
+
+def stamps(results: Path) -> dict[str, int]:
+    """When each fit that is there was written."""
+    return {p.stem: p.stat().st_mtime_ns for p in results.glob("fits/*/[!.]*.h5")}
+
+
+def rows_of(csv_file: Path) -> list[dict[str, str]]:
+    """Rows of a table, times left out."""
+    with csv_file.open() as handle:
+        rows = list(csv.DictReader(line for line in handle if not line.startswith("#")))
+    return [{k: v for k, v in row.items() if k != "wall_time_s"} for row in rows]
+
+
+def left_over(results: Path) -> list[Path]:
+    """Temporary files and locks."""
+    return [p for p in results.rglob(".*") if p.is_file()]
+
+
+# Tasks that a worker can find by name.
+
+
+def write_number(job, item, part):
+    part.write_text(f"content_key: {item * 64}\n")
+    return Made(str(os.getpid()))
+
+
+def die(job, item, part):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def die_once(job, item, part):
+    mark = job.experiment.results / f"{item}.died"
+    if not mark.exists():
+        mark.write_text("")
+        os.kill(os.getpid(), signal.SIGKILL)
+    return write_number(job, item, part)
+
+
+def refuse(job, item, part):
+    raise DataError(f"{item} is bad")
+
+
+def defect(job, item, part):
+    raise ZeroDivisionError("oh")
+
+
+def full_disk(job, item, part):
+    raise NoSpaceError(f"No space left for {item}")
+
+
+def sleep(job, item, part):
+    time.sleep(60)
+
+
+def task(folder: Path, item: str, write) -> Task:
+    """A task of these; the name is a hexadecimal digit, so that its key is one."""
+    return Task("toy", item, folder / f"{item}.txt", item * 64, write)

@@ -1,0 +1,348 @@
+import contextlib
+import errno
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import campaign_files as files
+import numpy as np
+import pytest
+from campaign_files import batch, left_over, rows_of, stamps, task, workers_of, write_springs
+from experiment_files import gbid, write_spring_data
+
+from gbid import load_table
+from gbid.atomic import remove_stale_parts
+from gbid.campaign.engines import Auto, make_engine
+from gbid.campaign.lock import locked
+from gbid.campaign.pool import ATTEMPTS, ProcessPool
+from gbid.campaign.run import run_campaign, working
+from gbid.campaign.shard import Shard, read_shard, tasks_of
+from gbid.errors import NoSpaceError, UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import InTurn, Job, fit_tasks, import_tasks, run_tasks
+from gbid.experiment.stages.failures import remembered_failure
+from gbid.identify import load_fit
+
+PROC = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc to find the workers")
+
+
+@pytest.fixture(scope="module")
+def springs(tmp_path_factory):
+    """A campaign of ten fits that nothing disturbed."""
+    path = write_springs(tmp_path_factory.mktemp("springs"), 10)
+    assert gbid("batch", path, "--engine", "serial") == 0
+    return path
+
+
+@pytest.fixture
+def fresh(tmp_path):
+    return write_springs(tmp_path / "fresh", 10)
+
+
+@pytest.fixture(scope="module")
+def pool():
+    """Two warm workers."""
+    made = ProcessPool(2)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def job(tmp_path):
+    return Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"))
+
+
+def results_of(path):
+    return path.parent / "results" / "springs"
+
+
+def table_of(path):
+    return rows_of(results_of(path) / "table.csv")
+
+
+def test_table_is_that_of_the_fits(springs):
+    table = load_table(results_of(springs) / "table.h5")
+    rows = table_of(springs)
+    assert len(table) == len(rows) == 10
+    assert table.success.all()
+    for i, row in enumerate(rows):
+        result = load_fit(results_of(springs) / "fits" / "spring" / f"{row['model']}.h5")
+        assert table.row("spring", row["model"])["k"] == result.parameters["k"] == float(row["k"])
+        assert float(row["k_std"]) == result.std["k"]
+        np.testing.assert_array_equal(table.covariance[i], result.covariance)
+        assert (table.mode_frequency_hz[i, 0], table.mode_damping[i, 0]) == result.model.modes()[0]
+        assert table.static_gain[i, 0] == result.model.static_gain()[0, 0]
+        assert float(row["fit_percent_y"]) == result.fit_percent[0, 0]
+        assert table.pressure_bar[i] == 3 + (i + 1) % 5
+
+
+def test_a_second_run_changes_nothing(springs, capsys):
+    before = {p: p.read_bytes() for p in results_of(springs).rglob("*") if p.is_file()}
+    assert gbid("batch", springs, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["stages"]["fit"] == {"made": 0, "kept": 10, "failed": 0, "not_converged": 0}
+    assert document["fits"][0]["converged"] == 10
+    assert {p: p.read_bytes() for p in results_of(springs).rglob("*") if p.is_file()} == before
+    assert left_over(results_of(springs)) == []
+
+
+def test_pool_gives_what_this_process_gives(springs, fresh):
+    with working(load_experiment(fresh), engine="pool", workers=2) as job:
+        outcomes = run_campaign(job)
+    assert [o.state for o in outcomes] == ["made"] * 20
+    assert [o.item for o in outcomes if o.stage == "fit"] == [f"spring/run{i}" for i in range(1, 11)]
+    assert gbid("batch", fresh, "--collect") == 0
+    assert table_of(fresh) == table_of(springs)
+
+
+def test_kill_of_the_runner_then_resume(springs, fresh):
+    process = batch(fresh, "--engine", "serial")
+    stop = random.Random(os.getpid()).randint(1, 9)
+    for line in process.stderr:
+        stop -= line.startswith("fit ")
+        if not stop:
+            break
+    process.kill()
+    process.communicate()
+    before = stamps(results_of(fresh))
+    assert 1 <= len(before) < 10
+    assert not (results_of(fresh) / "table.csv").exists()
+    assert gbid("batch", fresh, "--engine", "serial") == 0
+    after = stamps(results_of(fresh))
+    assert {name: after[name] for name in before} == before
+    assert table_of(fresh) == table_of(springs)
+    assert left_over(results_of(fresh)) == []
+
+
+@PROC
+def test_kill_of_workers_and_of_the_pool_runner(springs, fresh):
+    """One run: a worker is killed, then the runner; the workers end by themselves; the next run resumes."""
+    process = batch(fresh, "--engine", "pool", "--workers", "2")
+    for line in process.stderr:
+        if line.startswith("import "):
+            break
+    (victim, *others) = workers_of(process)
+    os.kill(victim, signal.SIGKILL)
+    for line in process.stderr:
+        if line.startswith("fit "):
+            break
+    assert "failed" not in line
+    others = workers_of(process)
+    assert victim not in others
+    process.kill()
+    process.communicate()
+    deadline = time.monotonic() + 20
+    while any(alive(pid) for pid in others):
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    before = stamps(results_of(fresh))
+    assert gbid("batch", fresh, "--engine", "serial") == 0
+    after = stamps(results_of(fresh))
+    assert {name: after[name] for name in before} == before
+    assert table_of(fresh) == table_of(springs)
+    assert left_over(results_of(fresh)) == []
+
+
+def alive(pid):
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+def test_a_task_that_kills_its_workers_does_not_stop_the_rest(pool, job, tmp_path):
+    kinds = {"a": files.write_number, "b": files.die, "c": files.write_number, "d": files.die_once}
+    kinds |= {"e": files.refuse, "f": files.defect}
+    job = Job(job.experiment, engine=pool)
+    job.experiment.results.mkdir()
+    tasks = [task(tmp_path, item, write) for item, write in kinds.items()]
+    a, b, c, d, e, f = run_tasks(job, tasks)
+    assert (a.state, c.state, d.state) == ("made",) * 3
+    assert (b.state, b.cause) == ("failed", "crash")
+    assert f"died {ATTEMPTS} times (signal SIGKILL)" in b.text
+    assert (e.cause, e.text) == ("data", "e is bad")
+    assert f.cause == "defect"
+    assert "ZeroDivisionError: oh" in f.text
+    assert len(pool.process_ids) <= 2
+    remembered = remembered_failure(job, tasks[5])
+    assert "Traceback" in remembered.details
+    again = run_tasks(job, tasks)
+    assert [o.state for o in again] == ["kept", "failed", "kept", "kept", "failed", "failed"]
+    assert [o.before for o in again] == [False, True, False, False, True, True]
+
+
+def test_a_full_disk_stops_a_pool(pool, job, tmp_path):
+    tasks = [task(tmp_path, "a", files.full_disk), *(task(tmp_path, item, files.sleep) for item in "bcd")]
+    began = time.monotonic()
+    with pytest.raises(NoSpaceError, match="No space left for a"):
+        run_tasks(Job(job.experiment, engine=pool), tasks)
+    assert time.monotonic() - began < 30  # the worker that sleeps for a minute was ended
+    made = run_tasks(Job(job.experiment, engine=pool), [task(tmp_path, "e", files.write_number)])
+    assert made[0].state == "made"
+
+
+def test_a_worker_is_warm_and_has_one_blas_thread(pool, job, tmp_path):
+    tasks = [task(tmp_path, item, files.write_number) for item in "abcdef"]
+    outcomes = run_tasks(Job(job.experiment, engine=pool), tasks)
+    assert {int(o.text) for o in outcomes} <= set(pool.process_ids)
+    assert os.getpid() not in pool.process_ids
+    environment = Path(f"/proc/{pool.process_ids[0]}/environ")
+    assert not environment.exists() or b"OPENBLAS_NUM_THREADS=1" in environment.read_bytes()
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_no_space_left(springs, fresh, number, monkeypatch, capsys):
+    import gbid.atomic as atomic
+
+    written, real = [], os.fsync
+
+    def fsync(handle):
+        written.append(handle)
+        if len(written) > 30:
+            raise OSError(number, os.strerror(number))
+        real(handle)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(atomic.os, "fsync", fsync)
+        assert gbid("batch", fresh, "--engine", "serial") == 3
+    error = capsys.readouterr().err.splitlines()[-1]
+    assert "No space left in" in error
+    assert str(results_of(fresh) / "fits" / "spring") in error
+    before = stamps(results_of(fresh))
+    assert 1 < len(before) < 10
+    assert not (results_of(fresh) / "failed").exists()
+    assert left_over(results_of(fresh)) == []
+    assert gbid("batch", fresh, "--engine", "serial") == 0
+    assert table_of(fresh) == table_of(springs)
+    assert {name: stamps(results_of(fresh))[name] for name in before} == before
+
+
+def test_shards_at_the_same_time_then_collect(springs, fresh, capsys):
+    shards = [batch(fresh, "--shard", f"{i}/3", "--engine", "serial", "--json") for i in (1, 2, 3)]
+    ended = [process.communicate() for process in shards]
+    assert [process.returncode for process in shards] == [0, 0, 0], ended
+    made = [json.loads(out)["stages"]["fit"]["made"] for out, _ in ended]
+    assert made == [4, 3, 3]
+    assert not (results_of(fresh) / "table.csv").exists()
+    assert gbid("batch", fresh, "--collect") == 0
+    assert table_of(fresh) == table_of(springs)
+    capsys.readouterr()
+    assert gbid("batch", fresh, "--json") == 0
+    assert json.loads(capsys.readouterr().out)["stages"]["fit"]["kept"] == 10
+
+
+def test_shards_share_the_work(tmp_path):
+    from experiment_files import write_quick
+
+    job = Job(load_experiment(write_quick(tmp_path)))
+    parts = [tasks_of(Shard(i, 2), job.experiment, fit_tasks(job)) for i in (1, 2)]
+    assert sorted(t.item for part in parts for t in part) == sorted(t.item for t in fit_tasks(job))
+    assert all(len(part) == 2 for part in parts)
+
+
+@pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])
+def test_wrong_shards(text):
+    with pytest.raises(UsageError, match="i/n"):
+        read_shard(text)
+
+
+def bad(columns):
+    columns["position [um]"][7] = np.inf
+
+
+def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
+    path = write_springs(tmp_path, 9, damage={2: bad})
+    assert gbid("batch", path, "--engine", "serial") == 3
+    err = capsys.readouterr().err
+    assert "gbid: error: import run2: " in err
+    assert "sample 7" in err
+    table = load_table(results_of(path) / "table.h5")
+    assert table.success.sum() == 8
+    assert not table.success[1]
+    assert "failed: import run2: " in table.status[1]
+    assert np.isnan(table.values[1]).all()
+    assert table_of(path)[1]["k"] == ""
+    record = results_of(path) / "failed" / "import" / "run2.json"
+    before = record.read_bytes()
+    assert gbid("batch", path) == 3  # not tried again
+    assert "(failed before; --retry tries again)" in capsys.readouterr().err
+    assert record.read_bytes() == before
+    assert gbid("batch", path, "--retry") == 3
+    assert "failed before" not in capsys.readouterr().err
+    write_spring_data(tmp_path / "data" / "run2.csv", 2, n=400)  # other data: tried without being asked
+    assert gbid("batch", path) == 0
+    assert not record.exists()
+    assert load_table(results_of(path) / "table.h5").success.all()
+
+
+def test_a_file_that_cannot_be_read_fails_alone(tmp_path):
+    job = Job(load_experiment(write_springs(tmp_path, 2)))
+    (tmp_path / "data" / "run1.csv").unlink()
+    outcomes = run_tasks(job, import_tasks(job))
+    assert [o.state for o in outcomes] == ["failed", "made"]
+    assert "run1.csv" in outcomes[0].text
+
+
+def test_an_item_that_does_not_converge_is_in_the_table(tmp_path):
+    path = write_springs(tmp_path, 2, fit="focus: simulation, max_iterations: 1")
+    assert gbid("batch", path) == 4
+    table = load_table(results_of(path) / "table.h5")
+    assert not table.success.any()
+    assert np.isfinite(table.values).all()
+
+
+def test_two_runners(fresh, capsys):
+    with locked(results_of(fresh)):
+        for verb in ("batch", "run", "fit", "import"):
+            assert gbid(verb, fresh) == 2
+            assert f"process {os.getpid()} on " in capsys.readouterr().err
+        assert gbid("batch", fresh, "--shard", "1/2") == 2
+    assert left_over(results_of(fresh)) == []
+    with locked(results_of(fresh), shared=True), locked(results_of(fresh), shared=True):
+        with pytest.raises(UsageError, match="another gbid"), locked(results_of(fresh)):
+            pass
+    assert left_over(results_of(fresh)) == []
+
+
+def test_stale_temporary_files_of_ours_are_removed(tmp_path):
+    ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
+    from gbid.atomic import _host
+
+    dead = int(ended.stdout)
+    names = {
+        f".a.h5.{_host()}~{dead}.x.part": True,
+        f".a.h5.{_host()}~{os.getpid()}.x.part": False,
+        f".a.h5.elsewhere~{dead}.x.part": False,
+        ".download.part": False,
+        "mine.part": False,
+    }
+    for name in names:
+        (tmp_path / name).write_text("")
+    old = tmp_path / ".b.h5.elsewhere~1.x.part"
+    old.write_text("")
+    os.utime(old, (1e9, 1e9))
+    removed = {path.name for path in remove_stale_parts(tmp_path)}
+    assert removed == {old.name, *(name for name, stale in names.items() if stale)}
+
+
+def test_engines_by_name():
+    assert isinstance(make_engine("serial"), InTurn)
+    with contextlib.closing(make_engine("auto", 3)) as engine:
+        assert isinstance(engine, Auto)
+    for arguments in (("serail",), ("pool", 0), ("serial", None, "tcp://a:1"), ("dask", 2, "tcp://a:1")):
+        with pytest.raises(UsageError):
+            make_engine(*arguments)
+
+
+def test_options_that_do_not_go_together(fresh, capsys):
+    assert gbid("batch", fresh, "--collect", "--retry") == 2
+    assert gbid("batch", fresh, "--shard", "5/4") == 2
+    assert gbid("batch", fresh, "--engine", "threads") == 2
+    assert "choose auto, serial, pool, dask" in capsys.readouterr().err
+    assert not (results_of(fresh) / "fits").exists()

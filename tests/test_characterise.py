@@ -1,0 +1,366 @@
+"""Static characterisation against closed forms, brute force, coverage, and the virtual rig."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rig_point import machine
+from scipy.signal import lfilter
+from scipy.stats import linregress
+
+from gbid.characterise import (
+    PiezoCurve,
+    StaticMap,
+    characterise_piezo,
+    characterise_staircase,
+    load_static,
+    save_static,
+    static_rows,
+)
+from gbid.characterise.branches import branch_difference, monotone_runs
+from gbid.characterise.plateaus import find_plateaus, steady_means
+from gbid.errors import DataError, UsageError
+from gbid.recording import Recording
+from gbid.rig import PiezoStacks, StackStaircase, Staircase, record
+
+TS = 2e-4
+GAIN = np.array([[0.25, 0.01], [-0.02, 0.29]])
+OFFSET = np.array([2e-6, -3e-6])
+
+
+def stairs(axis, n=10, amplitude=9e-6, hold=600):
+    up = np.linspace(-amplitude, amplitude, n)
+    levels = np.array([0, *up, *up[-2::-1], 0])
+    r = np.zeros((len(levels) * hold, 2))
+    r[:, axis] = np.repeat(levels, hold)
+    return r
+
+
+def synthetic(axis, seed=0, noise=100e-9, pole=0.9, cubic=0.0, offset=OFFSET):
+    """Linear film with settled dynamics and correlated noise; the true gain is GAIN."""
+    rng = np.random.default_rng(seed)
+    r = stairs(axis)
+    u = lfilter([0.3], [1, -0.7], 1.86 * r, axis=0) + np.array([0.5e-6, -0.3e-6])
+    p = lfilter([0.1], [1, -0.9], u @ GAIN.T + cubic * (u / 17e-6) ** 3, axis=0) + offset
+    p[:100] = p[100]
+    coloured = lfilter([np.sqrt(1 - pole**2)], [1, -pole], rng.standard_normal((len(p) + 500, 2)), axis=0)[500:]
+    return Recording(
+        {"r": r, "u": u + 1e-9 * rng.standard_normal(u.shape), "p": p + noise * coloured},
+        TS,
+        {"pressure_bar": 6.0, "speed_rpm": 0.0},
+        f"stairs_{'xy'[axis]}{seed}",
+    )
+
+
+# ---- plateaus and branches ----
+
+
+def test_plateaus_are_found_and_passages_left_out():
+    r = np.concatenate([np.full(200, 0.0), np.linspace(0, 1, 50), np.full(300, 1.0), np.full(150, 2.0)])[:, None]
+    found = find_plateaus(Recording({"r": r}, TS), "r")
+    assert list(zip(found.start, found.stop, strict=True))[1:] == [(249, 550), (550, 700)]
+    assert found.level[:, 0].tolist() == [0.0, 1.0, 2.0]
+
+
+def test_standard_errors_hold_for_correlated_noise():
+    """Scatter of the means over many parts; the naive error is several times too small."""
+    rng = np.random.default_rng(1)
+    noise = lfilter([1], [1, -0.9], rng.standard_normal((600_000, 1)), axis=0)
+    parts = [(k, k + 1000) for k in range(0, 600_000, 1000)]
+    found = steady_means(noise, parts)
+    scatter = found.mean.std()
+    assert np.sqrt(np.mean(found.std_error**2)) == pytest.approx(scatter, rel=0.15)
+    assert scatter > 3 * noise.std() / np.sqrt(1000)
+
+
+def test_drift_is_in_the_standard_error():
+    ramp = np.linspace(0, 1.0, 1000)[:, None] + 1e-3 * np.random.default_rng(1).standard_normal((1000, 1))
+    found = steady_means(ramp, [(0, 1000)])
+    assert found.drift[0, 0] == pytest.approx(1.0, rel=0.01)
+    assert found.std_error[0, 0] > 0.5
+
+
+def test_runs_split_where_the_course_turns():
+    assert monotone_runs(np.array([0.0, 1, 2, 1, 0, 1])) == [(1, [0, 1, 2]), (-1, [2, 3, 4]), (1, [4, 5])]
+
+
+def test_branch_difference_is_that_of_a_known_loop():
+    up, down = np.linspace(0, 10, 11), np.linspace(9, 0, 10)
+    at = np.concatenate([up, down])
+    value = np.concatenate([up, down + 0.08 * down * (10 - down)])
+    difference, std, place = branch_difference(at, value, np.full(21, 0.1))
+    assert difference == pytest.approx(2.0)
+    assert place == 5.0
+    assert std == pytest.approx(np.sqrt(2) * 0.1)
+    assert np.isnan(branch_difference(up, up, up)[0])
+
+
+def test_curvature_is_no_hysteresis():
+    at = np.concatenate([[0.0], np.linspace(-10, 10, 11), np.linspace(8, -10, 10), [0.0]])
+    assert branch_difference(at, at**3, np.zeros(len(at)))[0] == pytest.approx(0.0, abs=1e-9)
+
+
+# ---- the static map ----
+
+
+def test_gain_and_offset_come_back_from_x_and_y_staircases():
+    found = characterise_staircase([synthetic(0), synthetic(1, 1)])
+    assert (np.abs(found.gain - GAIN) < 4 * found.gain_std).all()
+    assert found.gain_std.max() < 1e-3
+    np.testing.assert_allclose(found.offset, [OFFSET, OFFSET], atol=20e-9)
+    assert (found.dof, found.input_names, found.output_names) == (38, ("u_x", "u_y"), ("p_x", "p_y"))
+    # what noise gives: no evidence of hysteresis nor of a curve
+    assert (found.hysteresis < 4 * found.hysteresis_std).all()
+    assert found.largest.max() < 100e-9
+
+
+def test_one_axis_alone_agrees_with_a_straight_line():
+    found = characterise_staircase(synthetic(0))
+    for output in (0, 1):
+        line = linregress(found.input_mean[:, 0], found.output_mean[:, output])
+        assert found.gain[output, 0] == pytest.approx(line.slope, rel=1e-9)
+        assert found.gain_std[output, 0] >= 0.999 * line.stderr
+    assert np.isnan(found.gain[:, 1]).all()
+    assert np.isnan(found.rms[:, 1]).all()
+    assert found.notes == ("no recording moves u_y: its gains are not known",)
+
+
+def test_intervals_cover_the_truth():
+    hits = []
+    for seed in range(100):
+        interval = characterise_staircase([synthetic(0, 2 * seed), synthetic(1, 2 * seed + 1)]).interval()
+        hits.append((interval[..., 0] < GAIN) & (interval[..., 1] > GAIN))
+    cover = np.mean(hits, axis=0)
+    assert cover.min() >= 0.90
+    assert 0.93 <= cover.mean() <= 0.99
+
+
+def test_deviations_from_linear_are_those_of_a_known_curve():
+    cubic = 2e-6
+    found = characterise_staircase([synthetic(0, cubic=cubic, noise=1e-12), synthetic(1, cubic=cubic, noise=1e-12)])
+    own = found.recording == 0
+    u = found.input_mean[own, 0]
+    line = linregress(u, cubic * (u / 17e-6) ** 3)
+    rest = cubic * (u / 17e-6) ** 3 - line.intercept - line.slope * u
+    assert found.rms[0, 0] == pytest.approx(np.sqrt(np.mean(rest**2)), rel=1e-3)
+    assert found.largest[0, 0] == pytest.approx(np.abs(rest).max(), rel=1e-3)
+    assert found.rms[1, 0] < 1e-9
+    assert found.hysteresis.max() < 20e-9
+    panel = found.panel(0, 0)
+    np.testing.assert_allclose(panel["output"] - found.gain[0, 0] * panel["input"], found.residual[own, 0])
+
+
+def test_hysteresis_of_the_bearing_is_found():
+    rec = synthetic(0, noise=10e-9)
+    rising = np.sign(np.diff(rec.signal("r")[:, 0], prepend=0.0))
+    direction = np.where(rising == 0, np.nan, rising)
+    filled = np.maximum.accumulate(np.where(np.isnan(direction), 0, np.arange(len(direction))))
+    lag = 0.3e-6 * np.nan_to_num(direction[filled])
+    found = characterise_staircase(rec.with_signals(p=rec.signal("p") - np.column_stack([lag, 0 * lag])))
+    assert found.hysteresis[0, 0] == pytest.approx(0.6e-6, rel=0.1)
+    assert found.hysteresis[1, 0] < 0.03e-6
+
+
+def test_run_out_does_not_show_in_the_means():
+    rec = synthetic(0, noise=1e-12)
+    angle = 2 * np.pi * 97.3 * rec.time + 0.3
+    p = rec.signal("p") + 4e-6 * np.column_stack([np.cos(angle), np.sin(angle)])
+    turning = rec.with_signals(p=p, phi=np.mod(angle, 2 * np.pi)[:, None])
+    found = characterise_staircase(turning)
+    np.testing.assert_allclose(found.gain[:, 0], GAIN[:, 0], atol=2e-5)
+    assert found.rms[0, 0] < 1e-9
+
+
+@pytest.mark.parametrize("speed", [0.0, 6000.0])
+def test_rig_staircases_give_the_models_static_gain(speed):
+    made = machine(6.0, speed)
+    bearing = made.rotor_bearing
+    truth = -np.linalg.solve(bearing.stiffness, bearing.input_gain)
+    conditions = {"pressure_bar": 6.0, "speed_rpm": speed}
+    group = [
+        record(made, Staircase(axis, hold_s=0.3), conditions=conditions, seed=2, name=f"stairs {axis}") for axis in "xy"
+    ]
+    found = characterise_staircase(group)
+    interval = found.interval(0.99)
+    assert ((interval[..., 0] < truth) & (truth < interval[..., 1])).all()
+    assert found.gain_std.max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda rec: characterise_staircase([]), UsageError, "at least one"),
+        (lambda rec: characterise_staircase(rec, keep=0.0), UsageError, "keep = 0"),
+        (lambda rec: characterise_staircase(rec, keep=0.01), DataError, "steady samples"),
+        (lambda rec: characterise_staircase(rec, command="v"), DataError, "no signal 'v'"),
+        (lambda rec: characterise_staircase(rec.with_signals(r=0 * rec.signal("r"))), DataError, "does not move"),
+        (
+            lambda rec: characterise_staircase(
+                rec.with_signals(
+                    r=rec.signal("r") + 1e-7 * np.random.default_rng(1).standard_normal((len(rec.time), 2))
+                )
+            ),
+            DataError,
+            "not a noisy measurement",
+        ),
+        (
+            lambda rec: characterise_staircase([rec, replace(rec, conditions={"pressure_bar": 5.0})]),
+            DataError,
+            "different conditions",
+        ),
+        (
+            lambda rec: characterise_staircase(
+                rec.with_signals(u=np.repeat(rec.signal("u")[:, :1], 2, 1), r=np.repeat(rec.signal("r")[:, :1], 2, 1))
+            ),
+            DataError,
+            "do not determine",
+        ),
+        (lambda rec: characterise_staircase(rec).interval(1.0), UsageError, "level"),
+    ],
+)
+def test_bad_staircases_are_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call(synthetic(0))
+
+
+# ---- piezos ----
+
+
+def loop(hysteresis=8.4e-6, n=10, hold=500, creep=0.0, top=45e-6, noise=0.0):
+    """Voltage staircase with a parabolic loop of known width and logarithm-free creep: an exponential per step."""
+    levels = np.concatenate([np.linspace(0, 10, n + 1), np.linspace(10, 0, n + 1)[1:]])
+    x = levels / 10
+    rising = np.arange(len(levels)) <= n
+    static = top * x + np.where(rising, -1, 1) * hysteresis / 2 * 4 * x * (1 - x)
+    v, y = np.repeat(levels, hold), np.repeat(static, hold)
+    step = np.repeat(np.diff(static, prepend=static[0]), hold)
+    since = np.tile(np.arange(hold), len(levels)) * TS
+    slow = 1 - np.exp(-(since) / 0.05)
+    y = y - step * np.exp(-since / 1e-3) + creep * step * (slow - 1)
+    y = y + noise * np.random.default_rng(2).standard_normal(len(y))
+    return Recording({"v": v[:, None], "y_p": y[:, None]}, TS, name="stack 4", channels={"v": ("4",), "y_p": ("4",)})
+
+
+def test_hysteresis_of_a_known_loop():
+    found = characterise_piezo(loop(noise=5e-9), command="v", position="y_p")
+    assert found.hysteresis == pytest.approx(8.4e-6, rel=0.01)
+    assert found.hysteresis_at == pytest.approx(5.0)
+    assert found.hysteresis_share == pytest.approx(8.4 / 45, rel=0.01)
+    assert found.command.tolist()[:3] == [0.0, 1.0, 2.0]
+    assert not found.saturated.any()
+    assert found.channel == "y_p_4"
+
+
+def test_creep_is_the_share_of_the_step():
+    creep = 0.04
+    found = characterise_piezo(loop(hysteresis=0.0, creep=creep), command="v", position="y_p", settle_s=0.01)
+    # from early (10 ms and a tenth of the rest later) to the end (likewise), by the exponential's own means
+    width = max(40, round(0.1 * (500 - 50)))
+    t = np.arange(500) * TS
+    response = 1 - np.exp(-t / 1e-3) + creep * (1 - np.exp(-t / 0.05) - 1)
+    early, late = response[50 : 50 + width].mean(), response[-width:].mean()
+    # the step before has crept to its own end, which the next one starts from
+    before = 1 - (response[-width:].mean() - creep * 0)
+    expected = (late - early) / (early + before)
+    np.testing.assert_allclose(found.creep[1:10], expected, rtol=1e-3)
+
+
+def test_uniform_steps_and_their_responses():
+    found = characterise_piezo(loop(hysteresis=0.0), command="v", position="y_p")
+    assert found.uniformity < 1e-6
+    np.testing.assert_allclose(found.step_gain, 4.5e-6, rtol=1e-6)
+    assert found.responses.shape == (500, 20)
+    np.testing.assert_allclose(found.responses[0], 0, atol=1e-11)
+    np.testing.assert_allclose(found.responses[-1], 4.5e-6 * np.sign(found.step), rtol=1e-5)
+    assert found.response_time[1] == TS
+
+
+def test_used_up_travel_is_named_and_not_counted_as_uneven():
+    rec = loop(hysteresis=0.0)
+    limited = rec.with_signals(y_p=np.minimum(rec.signal("y_p"), 42e-6))
+    found = characterise_piezo(limited, command="v", position="y_p")
+    assert np.flatnonzero(found.saturated).tolist() == [9, 10]
+    assert "saturated: step 10, 11 of 20" in found.notes[0]
+    assert found.uniformity < 1e-6
+    known = characterise_piezo(limited, command="v", position="y_p", limits=(0.0, 42e-6))
+    assert np.flatnonzero(known.saturated).tolist() == [0, 9, 10, 19]  # the rest at zero is an end as well
+
+
+def test_one_way_staircase_knows_nothing_of_hysteresis():
+    rec = loop().slice(0, 11 * 500)
+    found = characterise_piezo(rec, command="v", position="y_p")
+    assert np.isnan(found.hysteresis)
+    assert "one way" in found.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda rec: characterise_piezo(rec), DataError, "no signal 'r'"),
+        (lambda rec: characterise_piezo(rec, command="v", position="y_p", channel="2"), UsageError, "no channel '2'"),
+        (lambda rec: characterise_piezo(rec, command="v", position="y_p", settle_s=0.09), UsageError, "too little"),
+        (
+            lambda rec: characterise_piezo(rec, command="v", position="y_p", limits=(1, 0)),
+            UsageError,
+            "lower end first",
+        ),
+        (
+            lambda rec: characterise_piezo(rec.with_signals(y_p=0 * rec.signal("y_p")), command="v", position="y_p"),
+            DataError,
+            "does not answer",
+        ),
+    ],
+)
+def test_bad_piezo_staircases_are_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call(loop())
+
+
+def test_rig_stack_open_loop_and_controlled():
+    """Fig. A.28: 8.4 um open loop, next to nothing under PD control; Fig. A.29: uniform steps under control."""
+    made = replace(machine(6.0, 0.0), actuator=PiezoStacks())
+    conditions = {"pressure_bar": 6.0, "speed_rpm": 0.0}
+    found = {}
+    for controlled in (False, True):
+        rec = record(
+            made, StackStaircase(4, controlled, hold_s=0.3), conditions=conditions, seed=1, name="stack", settle_s=0.2
+        )
+        command = "r_p" if controlled else "v"
+        found[controlled] = characterise_piezo(rec, command=command, position="y_p", channel="4")
+    assert found[False].hysteresis == pytest.approx(8.4e-6, rel=0.05)
+    assert found[True].hysteresis < 0.1 * found[False].hysteresis
+    assert found[True].uniformity < 0.5 * found[False].uniformity
+    assert 0.001 < np.median(found[False].creep) < 0.1
+
+
+# ---- files ----
+
+
+def same(one, other):
+    for name in one.__dataclass_fields__:
+        a, b = getattr(one, name), getattr(other, name)
+        if isinstance(a, np.ndarray | float):
+            np.testing.assert_array_equal(a, b)
+        else:
+            assert dict(a) == dict(b) if hasattr(a, "items") else a == b
+
+
+def test_results_survive_the_file(tmp_path):
+    made = characterise_staircase([synthetic(0), synthetic(1, 1)])
+    save_static(made, tmp_path / "map.h5")
+    same(made, load_static(tmp_path / "map.h5", StaticMap))
+    curve = characterise_piezo(loop(), command="v", position="y_p")
+    save_static(curve, tmp_path / "curve.h5")
+    same(curve, load_static(tmp_path / "curve.h5", PiezoCurve))
+    with pytest.raises(DataError, match="expected a gbid static_map file, found piezo_curve"):
+        load_static(tmp_path / "curve.h5", StaticMap)
+    with pytest.raises(UsageError, match="exists already"):
+        save_static(curve, tmp_path / "curve.h5")
+
+
+def test_rows_are_one_for_each_plateau_with_units():
+    rows = static_rows(characterise_staircase(synthetic(0)))
+    assert len(rows) == 21
+    assert {"recording", "u_x [m]", "u_x_std [m]", "p_y [m]", "p_y_residual [m]"} <= set(rows[0])
+    rows = static_rows(characterise_piezo(loop(), command="v", position="y_p"))
+    assert {"command [V]", "y_p_4 [m]", "creep", "saturated"} <= set(rows[0])

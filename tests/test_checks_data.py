@@ -1,0 +1,230 @@
+"""What `gbid check` finds before hours are spent: in files, clocks, lengths and on the disk."""
+
+import json
+import shutil
+from collections import namedtuple
+
+import numpy as np
+import pytest
+from experiment_files import gbid, write_quick, write_spring, write_spring_data
+from scipy.io import savemat
+
+from gbid.errors import DataError
+from gbid.experiment.checks_data import disk_space, find_data_problems, size
+from gbid.experiment.load import load_experiment
+from gbid.recording import ImportMapping
+from gbid.recording.importers.peek import peek
+
+FOLDER = """\
+format: 1
+name: many
+import:
+  data_folder: data
+  folder:
+    pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.{ending}"
+    {clock}
+    signals:
+      r: {{columns: [r_x, r_y], unit: um}}
+      u: {{columns: [u_x, u_y], unit: um}}
+      p: {{columns: [p_x, p_y], unit: um}}
+      phi: {{columns: phi, unit: rad}}
+prefilter: {{}}
+fits:
+  bearing: {{structure: rotor_bearing}}
+  piezos: {{structure: piezo_pair}}
+crossval:
+  bearing: {{on: cyclic}}
+"""
+NAMES = ("r_x", "r_y", "u_x", "u_y", "p_x", "p_y", "phi")
+
+
+def columns(n=1000, seed=0, step=2e-4):
+    random = np.random.default_rng(seed)
+    return {"t": step * np.arange(n), **{name: random.standard_normal(n) for name in NAMES}}
+
+
+def save(path, values):
+    if path.suffix == ".mat":
+        savemat(path, values, do_compression=False)
+    elif path.suffix == ".npz":
+        np.savez(path, **values)
+    else:
+        rows = np.column_stack(list(values.values()))
+        np.savetxt(path, rows, delimiter=",", header=",".join(values), comments="", fmt="%.6g")
+
+
+def write_many(folder, ending="mat", clock="sample_time_s: 2.0e-4", points=2, n=1000):
+    (folder / "data").mkdir(parents=True)
+    for i in range(points):
+        for kind in ("prbs1", "prbs2", "still1"):
+            save(folder / "data" / f"p{3 + i}_n4000_{kind}.{ending}", columns(n, 3 * i))
+    path = folder / "experiment.yaml"
+    path.write_text(FOLDER.format(ending=ending, clock=clock))
+    return path
+
+
+def problems(path):
+    return find_data_problems(load_experiment(path))[:2]
+
+
+@pytest.mark.parametrize("ending", ["mat", "npz", "csv"])
+def test_a_truncated_file_is_named_in_the_check(ending, tmp_path, capsys):
+    path = write_many(tmp_path, ending)
+    assert problems(path) == ([], 0)
+    victim = tmp_path / "data" / f"p4_n4000_prbs2.{ending}"
+    whole = victim.read_bytes()
+    victim.write_bytes(whole[: int(0.6 * len(whole)) if ending != "csv" else -30])
+    texts, code = problems(path)
+    assert code == 3
+    assert len(texts) == 1
+    assert f"experiment.yaml:6:5: {victim}" in texts[0]
+    assert gbid("check", path, "--quick") == 3
+    assert str(victim) in capsys.readouterr().err
+    victim.write_bytes(b"")
+    assert problems(path)[1] == 3
+
+
+def test_a_column_that_is_not_there(tmp_path):
+    path = write_many(tmp_path, "npz")
+    values = columns()
+    del values["p_y"]
+    save(tmp_path / "data" / "p3_n4000_prbs1.npz", values)
+    (text,), code = problems(path)
+    assert "p3_n4000_prbs1.npz: no variable 'p_y'" in text
+    assert code == 3
+
+
+@pytest.mark.parametrize("ending", ["mat", "csv"])
+def test_one_clock_that_differs_is_named(ending, tmp_path):
+    path = write_many(tmp_path, ending, clock="time: t")
+    assert problems(path) == ([], 0)
+    save(tmp_path / "data" / f"p4_n4000_prbs1.{ending}", columns(step=1e-4))
+    texts, code = problems(path)
+    assert code == 3
+    assert len(texts) == 2  # of both fits
+    assert (
+        "recording 'p4_n4000_prbs1': sample time 0.0001 s; 3 of 4 recordings of fit bearing have 0.0002 s" in texts[0]
+    )
+
+
+def test_recordings_too_short_for_their_unknowns(tmp_path):
+    path = write_many(tmp_path, n=200)
+    texts, code = problems(path)
+    assert code == 3
+    # 14 key parameters, 4 disturbance gains, 6 states
+    assert len([t for t in texts if "200 samples for the 24 unknowns of fit bearing" in t]) == 4
+    assert not [t for t in texts if "piezos" in t]
+    path.write_text(path.read_text().replace("rotor_bearing}", "rotor_bearing, options: {disturbance_gain: none}}"))
+    assert problems(path) == ([], 0)
+    quick = write_quick(
+        tmp_path / "rig",
+        ("duration_s: 1.0", "duration_s: 0.04"),
+        ("to_s: 0.4", "to_s: 0.04"),
+        ("from_s: 0.2", "from_s: 0.0"),
+        ("hold_s: 20e-3", "hold_s: 2e-3"),
+    )
+    assert any("unknowns of fit bearing" in text for text in problems(quick)[0])
+
+
+def test_results_that_do_not_fit_on_the_disk(tmp_path, monkeypatch, capsys):
+    path = write_quick(tmp_path)
+    assert problems(path) == ([], 0)
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(10**9, 10**9 - 10**5, 10**5))
+    (text,), code = problems(path)
+    assert code == 3
+    assert "the results need about" in text
+    assert "100 kB are free; make room, or write elsewhere with --results" in text
+    assert gbid("check", path, "--json") == 3
+    told = json.loads(capsys.readouterr().out)
+    assert told["bytes_free"] == 10**5 < told["bytes_needed"]
+
+
+def test_the_estimate_of_the_size_is_about_right(tmp_path, capsys):
+    path = write_quick(tmp_path, ("figures:\n  bearing: {from_s: 0.2, to_s: 0.4}\n", ""))
+    assert gbid("run", path) == 0
+    capsys.readouterr()
+    experiment = load_experiment(path)
+    needed, _ = disk_space(experiment, find_seen(experiment))
+    taken = sum(p.stat().st_size for p in experiment.results.rglob("*") if p.is_file())
+    assert 0.7 * taken < needed < 1.6 * taken
+
+
+def find_seen(experiment):
+    from gbid.experiment.checks_data import peek_recordings
+
+    return peek_recordings(experiment)[0]
+
+
+def test_the_content_is_looked_at_unless_quick(tmp_path, capsys):
+    path = write_spring(tmp_path)
+
+    def dead(values):
+        values["position [um]"][:] = 0.0
+
+    write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=dead)
+    assert gbid("check", path, "--quick") == 0
+    assert gbid("check", path) == 3
+    assert "is constant" in capsys.readouterr().err
+
+
+def test_a_short_look_agrees_with_the_recording(tmp_path):
+    for ending in ("mat", "npz", "csv"):
+        file = tmp_path / f"a.{ending}"
+        save(file, columns(300, step=5e-4))
+        mapping = ImportMapping.from_dict(
+            {"time": "t", "samples": [10, None], "signals": {"p": {"columns": ["p_x", "p_y"], "unit": "um"}}}
+        )
+        found = peek(file, mapping)
+        assert found.n_samples == 290
+        assert found.sample_time == pytest.approx(5e-4, rel=1e-6)
+    late = ImportMapping.from_dict({"sample_time": 1.0, "samples": [10, 400], "signals": {"p": {"columns": ["p_x"]}}})
+    with pytest.raises(DataError, match="samples 10 to 400 are not within its 300 samples"):
+        peek(file, late)
+
+
+def test_sizes_in_words():
+    assert [size(n) for n in (12, 1200, 3_450_000, 2 * 10**12)] == ["12 B", "1.2 kB", "3.45 MB", "2e+03 GB"]
+
+
+def test_stretches_left_out_of_a_fit_are_left_out_of_its_validation(tmp_path, capsys):
+    """A disturbed stretch spoils the cross-validation unless the fit leaves it out."""
+
+    def knock(values):
+        values["position [um]"][600:700] += 300.0
+
+    path = write_spring(tmp_path, ("minimum_percent: 90", "residuals: none"))
+    write_spring_data(tmp_path / "data" / "run2.csv", 2, damage=knock)
+    assert gbid("import", path) == 0
+    assert gbid("fit", path) == 0
+    capsys.readouterr()
+    assert gbid("crossval", path, "--json") == 0
+    before = {r["model"]: r for r in json.loads(capsys.readouterr().out)["crossval"]}
+    assert before["run1"]["fit_percent"] < 80
+    assert before["run1"]["residual_p"] is None
+    left_out = "focus: simulation, left_out: {run2: [[0.3, 0.35]]}"
+    path.write_text(
+        path.read_text().replace("focus: simulation", left_out).replace("residuals: none", "residuals: pairs")
+    )
+    assert gbid("fit", path, "--overwrite") == 0
+    capsys.readouterr()
+    assert gbid("crossval", path, "--overwrite", "--json") == 0
+    after = {r["model"]: r for r in json.loads(capsys.readouterr().out)["crossval"]}
+    assert after["run1"]["recording"] == "run2"
+    assert after["run1"]["fit_percent"] > 98
+    assert after["run1"]["residual_p"] > 1e-3
+
+
+def test_residuals_once_for_each_model(tmp_path, capsys):
+    path = write_spring(tmp_path, ("on: cyclic, minimum_percent: 90", "on: [run1, run2], residuals: models"))
+    for verb in ("import", "fit"):
+        assert gbid(verb, path) == 0
+    capsys.readouterr()
+    assert gbid("crossval", path, "--json") == 0
+    rows = json.loads(capsys.readouterr().out)["crossval"]
+    assert [(r["model"], r["recording"], r["residual_p"] is None) for r in rows] == [
+        ("run1", "run1", False),
+        ("run1", "run2", True),
+        ("run2", "run1", False),
+        ("run2", "run2", True),
+    ]

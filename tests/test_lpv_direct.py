@@ -1,0 +1,177 @@
+"""Surfaces straight from recordings: against joint fits, finite differences and the rig's truth."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from study_rig import PAPER, POINTS, truth_at
+
+import gbid
+from gbid.errors import DataError, UsageError
+from gbid.identify.assembly import assemble, full_start
+from gbid.identify.data import gather
+from gbid.identify.problem import build_problem
+from gbid.identify.ties import Ties
+from gbid.lpv import LPVModel
+from gbid.rig import Machine, Prbs, SensorChain, Unbalance, record
+from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing
+
+FIXED = dict(PAPER.actuators)
+EXACT = Plant(RotorBearing(delay="exact"), outputs=("p",))
+
+
+def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, rng=None):
+    """Short recording of a still rig's answer to a PRBS, every key parameter off its surface by a random share."""
+    truth = truth_at(*point)
+    if scatter:
+        truth |= {key: truth[key] * (1 + scatter * rng.normal()) for key in KEY_PARAMETERS}
+    none = np.zeros((2, 2))
+    sensors = SensorChain(
+        noise_p=noise, runout_amplitude=none, runout_phase=none, offset_p=(0.0, 0.0), offset_u=(0.0, 0.0)
+    )
+    machine = Machine.from_parameters(truth, truth, unbalance=Unbalance(0.0), sensors=sensors)
+    conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
+    return record(
+        machine,
+        Prbs(amplitude=1.5e-6, hold_s=4e-3, duration_s=n * 2e-4),
+        conditions=conditions,
+        seed=number,
+        name=f"r{number}",
+    )
+
+
+@pytest.fixture(scope="module")
+def one_point():
+    return [recorded((5.0, 4000.0), i) for i in range(3)]
+
+
+@pytest.fixture(scope="module")
+def scattered():
+    rng = np.random.default_rng(1)
+    return [recorded(p, i, scatter=0.01, rng=rng) for i, p in enumerate(np.repeat(POINTS, 2, axis=0).tolist())]
+
+
+def constant(values):
+    return LPVModel("flat", {key: (values[key], 0, 0, 0, 0, 0) for key in KEY_PARAMETERS}, PAPER.domain)
+
+
+@pytest.mark.parametrize(("focus", "local"), [("simulation", {}), ("prediction", {"bd_xx": "recording"})])
+def test_flat_surfaces_are_a_joint_fit(one_point, focus, local):
+    """With the constant term alone, a machine that repeats itself has the shared parameters of an ordinary fit."""
+    structure = RotorBearing(disturbance_gain="none" if focus == "simulation" else "full")
+    gains = {} if focus == "simulation" else {"bd_xy": 0.0, "bd_yx": 0.0, "bd_yy": 0.0}
+    noisy = [_with_gusts(r, i) for i, r in enumerate(one_point)] if local else one_point
+    joint = gbid.fit(structure, noisy, focus=focus, local=local, fixed=gains)
+    assert joint.success
+    start = constant({key: 1.01 * joint.parameters[key] for key in KEY_PARAMETERS})
+    flat = gbid.fit_lpv_direct(noisy, start, structure=structure, focus=focus, fixed=gains, scatter=False)
+    assert flat.success
+    for key in KEY_PARAMETERS:
+        assert flat.model.coefficients[key][0] == pytest.approx(joint.parameters[key], abs=0.03 * joint.std[key])
+        assert flat.model.coefficients[key][1:] == (0, 0, 0, 0, 0)
+
+
+def _with_gusts(recording, seed):
+    """Add what a disturbed rotor shows, so that there is a gain to be found: slow noise on the position."""
+    rng = np.random.default_rng(seed)
+    gusts = np.cumsum(rng.normal(size=(recording.n_samples, 2)), axis=0) * 30e-9
+    return replace(recording, signals={**recording.signals, "p": recording.signal("p") + gusts - gusts.mean(0)})
+
+
+def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
+    data = gather(one_point, ("u",), ("p",), minimum=20)
+    structure = RotorBearing()
+    rng = np.random.default_rng(2)
+    truth = truth_at(5.0, 4000.0)
+    maps = rng.normal(size=(3, 14, 5)) * 0.01 * np.array([abs(truth[key]) for key in KEY_PARAMETERS])[:, None]
+    maps[:, :, 0] = [truth[key] for key in KEY_PARAMETERS]
+    lift = 0.01 * np.abs(maps[0][:, :2])
+    shared = tuple(Parameter(f"c_{i}", float(i == 0)) for i in range(5))
+    ties = Ties(KEY_PARAMETERS, shared, maps, (Parameter("off_1", 0.0), Parameter("off_2", 0.0)), lift)
+    begin = {q.name: truth.get(q.name, 0.0) for q in structure.parameters}
+    gains = dict.fromkeys(("bd_xx", "bd_xy", "bd_yx", "bd_yy"), "recording")
+    assembly = assemble(
+        structure,
+        structure.parameters,
+        begin,
+        data,
+        intersample="foh",
+        focus="prediction",
+        horizon=1,
+        offsets=False,
+        local=gains,
+        left_out={},
+        window=200,
+        engine="numpy",
+        ties=ties,
+    )
+    full = full_start(assembly, begin) | {q.name: q.start for q in shared}
+    problem, x = build_problem(assembly, data, "trace", None, full, {"off_1": (0.0, 1.0)}, scaling=True)
+    assert problem.n_theta == 5 + 3 * 4 + 3 * 2
+    x = x + 1e-3 * rng.normal(size=len(x))
+    here = problem.at(x)
+    jacobian = np.zeros((problem.n_gaps, problem.n_unknowns))
+    jacobian[problem.jacobian_pattern.rows, problem.jacobian_pattern.columns] = here.jacobian
+    for _ in range(5):
+        direction = rng.normal(size=len(x))
+        up, down = problem.at(x + 1e-5 * direction), problem.at(x - 1e-5 * direction)
+        assert (up.cost - down.cost) / 2e-5 == pytest.approx(here.gradient @ direction, rel=1e-4)
+        np.testing.assert_allclose(
+            (up.gaps - down.gaps) / 2e-5, jacobian @ direction, rtol=1e-4, atol=1e-6 * np.abs(here.gaps).max() + 1e-8
+        )
+
+
+def test_truth_lies_within_three_standard_deviations(scattered):
+    """And a machine taken for one that repeats itself is off by far more: its moving resonance passes for damping."""
+    rng = np.random.default_rng(3)
+    points = np.column_stack([rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)])
+    found = {
+        scatter: gbid.fit_lpv_direct(
+            scattered, PAPER, structure=EXACT, focus="simulation", fixed=FIXED, scatter=scatter, name="mine"
+        )
+        for scatter in (True, False)
+    }
+    truth = PAPER.key_parameters(*points.T)
+    off, z = {}, {}
+    for scatter, fit in found.items():
+        assert fit.success
+        model = fit.model.key_parameters(*points.T)
+        std = np.sqrt(np.einsum("nii->ni", fit.uncertainty_at(*points.T)))
+        error = np.stack([model[key] - truth[key] for key in KEY_PARAMETERS], axis=-1)
+        off[scatter] = dict(zip(KEY_PARAMETERS, np.sqrt(np.mean(error**2, axis=0)), strict=True))
+        z[scatter] = error / std
+    assert (np.abs(z[True]) < 3).mean() > 0.95
+    assert off[True]["d_xy"] < 0.5 * off[False]["d_xy"]
+    assert found[True].model.name == "mine"
+    assert found[True].model.actuators == PAPER.actuators
+    scatter_std = np.sqrt(np.diag(found[True].scatter))
+    middle = PAPER.key_parameters(5.0, 3000.0)
+    assert scatter_std[0] == pytest.approx(0.01 * abs(middle["k_xx"]), rel=0.35)
+
+
+def test_single_fits_and_one_shot_agree_where_each_recording_tells_all():
+    """Hardly any noise, and recordings enough that all parameters scatter: weights no longer matter."""
+    rng = np.random.default_rng(4)
+    points = np.repeat([(3.0, 0.0), (3.0, 6000.0), (7.0, 0.0), (7.0, 6000.0)], 6, axis=0).tolist()
+    recordings = [recorded(p, i, n=500, scatter=0.005, noise=1e-11, rng=rng) for i, p in enumerate(points)]
+    fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED) for r in recordings]
+    two = gbid.fit_lpv(fits, points, order=("1", "P", "Omega", "Omega P"), actuators=PAPER.actuators)
+    one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus="simulation", fixed=FIXED)
+    std = np.sqrt(np.diag(two.covariance)).reshape(14, 6)[:, :4]
+    assert np.abs((one.coefficients - two.coefficients)[:, :4] / std).max() < 0.05
+    np.testing.assert_allclose(one.estimates.values, two.estimates.values, rtol=1e-3, atol=0.05)
+    assert (one.coefficients[:, 4:] == 0).all()
+    assert one.orders == two.orders
+
+
+def test_bad_input_is_refused(scattered):
+    with pytest.raises(DataError, match="states no pressure_bar and speed_rpm"):
+        gbid.fit_lpv_direct([replace(scattered[0], conditions={})], PAPER)
+    with pytest.raises(DataError, match="several recordings are named 'r0'"):
+        gbid.fit_lpv_direct([scattered[0], scattered[0]], PAPER)
+    with pytest.raises(DataError, match="2 operating points for 6 terms"):
+        gbid.fit_lpv_direct(scattered[:4], PAPER)
+    with pytest.raises(UsageError, match="k_xx is a surface"):
+        gbid.fit_lpv_direct(scattered, PAPER, fixed={"k_xx": 1.0})
+    with pytest.raises(UsageError, match="no start for p1_x"):
+        gbid.fit_lpv_direct(scattered, replace(PAPER, actuators={}), structure=Plant())

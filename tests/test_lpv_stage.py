@@ -1,0 +1,109 @@
+"""Surfaces in an experiment: section, stage, verb and files."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import gbid
+from gbid.cli.main import app
+
+CAMPAIGN = """\
+format: 1
+name: small
+rig:
+  seed: 5
+  operating_points:
+    - {pressure_bar: 3, speed_rpm: 0}
+    - {pressure_bar: 3, speed_rpm: 6000}
+    - {pressure_bar: 6, speed_rpm: 0}
+    - {pressure_bar: 6, speed_rpm: 6000}
+  duration_s: 0.4
+  prbs: {recordings: 2, amplitude_m: 1.5e-6, hold_s: 4e-3}
+  stationary: {recordings: 1, duration_s: 1.0}
+prefilter: {harmonics: 6}
+fits:
+  bearing: {structure: rotor_bearing, focus: simulation}
+  piezos: {structure: piezo_pair}
+lpv: {fit: bearing, order: ["1", P, Omega, Omega P], actuators: theisen2016, direct: true}
+"""
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("campaign")
+    path = folder / "experiment.yaml"
+    path.write_text(CAMPAIGN)
+    for verb in ("rig", "fit"):
+        result = call(verb, path, "--results", folder / "out")
+        assert result.exit_code == 0, result.output
+    return path, folder / "out"
+
+
+def test_verb_draws_and_keeps_surfaces(campaign):
+    path, out = campaign
+    result = call("lpv", path, "--results", out, "--json")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    two, one = document["lpv"]
+    assert (two["item"], one["item"]) == ("bearing", "bearing_direct")
+    assert (two["recordings"], two["operating_points"]) == (8, 4)
+    assert [row["name"] for row in two["deviations"][:4]] == ["tau_x", "tau_y", "omega_1", "omega_2"]
+    assert two["deviations"][2]["published_rms"] == 1.13
+    assert two["published_largest_gain"] == 0.016
+    assert one["options"]["method"] == "one-shot"
+    again = json.loads(call("lpv", path, "--results", out, "--json").stdout)
+    assert {o["state"] for o in again["outcomes"]} == {"kept"}
+    assert again["lpv"] == document["lpv"]
+
+    fit = gbid.load_lpv_fit(out / "lpv" / "bearing.yaml")
+    published = gbid.load_model("theisen2016")
+    assert fit.model.actuators == published.actuators
+    found, true = (m.at(3, 6000).modes() for m in (gbid.load_model(out / "lpv" / "bearing_direct.yaml"), published))
+    np.testing.assert_allclose(np.array(found)[:2], np.array(true)[:2], rtol=0.02)
+
+
+def test_table_stands_beside_the_papers(campaign):
+    path, out = campaign
+    result = call("lpv", path, "--results", out)
+    assert result.exit_code == 0, result.output
+    for word in ("two-step", "one-shot", "paper", "omega_1", "1.13", "0.0104", "0.088", "bearing_direct.yaml"):
+        assert word in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("{fit: bearings}", ("lpv.fit", "no fit of this name", "bearing")),
+        ("{fit: piezos}", ("lpv.fit", "has no parameters k_xx")),
+        ("{fit: bearing}", ("lpv.order", "4 operating points for 6 terms")),
+        ("{fit: bearing, order: 3}", ("lpv.order",)),
+        ("{fit: bearing, order: 1, actuators: nominal}", ("lpv.actuators", "no section 'nominal'")),
+        ("{fit: bearing, order: 1, weighting: fits, robust: true}", ("lpv.robust", "needs weighting")),
+        ("{fit: bearing, order: 1, colour: red}", ("lpv.colour",)),
+    ],
+)
+def test_wrong_sections_are_named(tmp_path, section, words):
+    path = tmp_path / "experiment.yaml"
+    path.write_text(CAMPAIGN[: CAMPAIGN.index("lpv:")] + f"lpv: {section}\n")
+    result = call("check", path)
+    assert result.exit_code == 2
+    for word in words:
+        assert word in result.output
+
+
+def test_without_fits_or_section_it_says_so(campaign, tmp_path):
+    path, _ = campaign
+    missing = call("lpv", path, "--results", tmp_path / "empty")
+    assert missing.exit_code == 3
+    assert "no fit 'bearing' is there" in missing.output
+    bare = tmp_path / "bare.yaml"
+    bare.write_text(CAMPAIGN[: CAMPAIGN.index("lpv:")])
+    nothing = call("lpv", bare)
+    assert nothing.exit_code == 2
+    assert "no section 'lpv'" in nothing.output

@@ -1,0 +1,288 @@
+"""Comparison of run-out maps, the online filter, missing index, and what a map leaves."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rig_point import machine
+
+from gbid.errors import DataError, UsageError
+from gbid.prefilter import (
+    OnlinePrefilter,
+    align_index,
+    compare_runout,
+    identify_runout,
+    prefilter,
+    runout_leftover,
+)
+from gbid.recording import Recording
+from gbid.rig import Faults, NonSynchronous, Prbs, SensorChain, Stationary, record
+
+NOISE = 30e-9
+TURN = 2 * np.pi
+
+
+def rig(experiment, name, pressure=5.0, speed=6000.0, seed=4, faults=None, **parts):
+    conditions = {"pressure_bar": pressure, "speed_rpm": speed}
+    made = machine(pressure, speed, **parts)
+    return record(made, experiment, conditions=conditions, seed=seed, name=name, faults=faults)
+
+
+def table(amplitudes, noise=NOISE, speed_rpm=5900.0, n=5000, start=0.3, seed=1):
+    """Stationary recording with run-out of a few orders: amplitude and phase by order, the same in x and y."""
+    angle = start + speed_rpm * np.pi / 30 * 2e-4 * np.arange(n)
+    p = np.zeros((n, 2))
+    for order, (amplitude, phase) in amplitudes.items():
+        p[:, 0] += amplitude * np.cos(order * angle + phase)
+        p[:, 1] += amplitude * np.sin(order * angle + phase)
+    p += noise * np.random.default_rng(seed).standard_normal(p.shape)
+    phi = np.mod(angle, TURN)[:, None]
+    signals = {"r": np.zeros((n, 2)), "p": p, "phi": phi}
+    return Recording(signals, 2e-4, {"pressure_bar": 5.0, "speed_rpm": speed_rpm}, f"still{seed}")
+
+
+# ---- comparison ----
+
+
+def test_comparison_chooses_the_orders_that_are_there():
+    amplitudes = {1: (3e-6, 0.2), 3: (0.5e-6, 1.0)}
+    group = [table(amplitudes, start=0.4 * seed, seed=seed) for seed in range(4)]
+    found = compare_runout(group, harmonics=(1, 2, 3, 5, 10), bins=(25, 100))
+    assert (found.chosen.method, found.chosen.size) == ("harmonics", 3)
+    np.testing.assert_allclose(found.chosen.residual_rms, NOISE, rtol=0.03)
+    assert found.runout_map.sources == ("still0", "still1", "still2", "still3")
+    assert [trial.chosen for trial in found.trials].count(True) == 1
+    rows = found.rows()
+    assert json.loads(json.dumps(rows)) == rows
+    # orders 1 and 2 leave the third: half its amplitude squared beside the noise
+    assert rows[1]["residual_rms_x"] == pytest.approx(np.hypot(0.5e-6 / np.sqrt(2), NOISE), rel=0.01)
+
+
+def test_comparison_judges_on_parts_held_out():
+    """By brute force: one fold by hand."""
+    group = [table({1: (3e-6, 0.2)}, start=0.4 * seed, seed=seed) for seed in range(3)]
+    found = compare_runout(group, harmonics=(2,), bins=())
+    made = identify_runout(group[:2], harmonics=2)
+    rest = group[2].signal("p") - made.evaluate(group[2].signal("phi")[:, 0])
+    np.testing.assert_allclose(found.trials[0].fold_rms[2], rest.std(axis=0), rtol=1e-12)
+
+
+def test_a_sharp_spot_is_better_told_by_bins():
+    rng = np.random.default_rng(0)
+    group = []
+    for seed in range(3):
+        rec = table({1: (3e-6, 0.2)}, n=20_000, start=0.4 * seed, seed=seed, noise=10e-9)
+        spot = 4e-6 * np.exp(-(((rec.signal("phi") - 2.0) / 0.03) ** 2))  # an electrical spot on the disc
+        group.append(rec.with_signals(p=rec.signal("p") + spot + 0 * rng.standard_normal()))
+    found = compare_runout(group, harmonics=(5, 10), bins=(100, 400))
+    assert (found.chosen.method, found.chosen.size) == ("bins", 400)
+
+
+def test_one_recording_is_cut_into_stretches():
+    rec = table({1: (3e-6, 0.2)})
+    found = compare_runout(rec, harmonics=(1, 2), bins=())
+    assert found.held_out == ("still1[0:1250]", "still1[1250:2500]", "still1[2500:3750]", "still1[3750:5000]")
+    assert found.chosen.size == 1
+
+
+def test_a_size_that_cannot_be_made_is_listed_with_its_reason():
+    found = compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(3, 40), bins=())
+    assert "do not tell 40 harmonics apart" in found.trials[1].note
+    assert np.isnan(found.trials[1].residual_rms).all()
+    assert found.chosen.size == 3
+    with pytest.raises(DataError, match="no run-out map can be made"):
+        compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(40,), bins=())
+
+
+def test_a_shaft_at_rest_has_its_mean_only():
+    still = rig(Stationary(1.0), "still", speed=0.0)
+    found = compare_runout(still)
+    assert (found.chosen.method, found.runout_map.method) == ("mean", "mean")
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda rec: compare_runout([]), UsageError, "at least one"),
+        (lambda rec: compare_runout(rec, harmonics=(), bins=()), UsageError, "nothing to compare"),
+        (lambda rec: compare_runout(rec, folds=1), UsageError, "at least 2"),
+        (lambda rec: compare_runout(rec.slice(0, 300)), DataError, "too few for 4 stretches"),
+    ],
+)
+def test_wrong_comparisons_are_named(call, error, words):
+    with pytest.raises(error, match=words):
+        call(table({1: (3e-6, 0.2)}))
+
+
+# ---- what is left ----
+
+
+def test_leftover_measures_noise_and_a_line_beside_it():
+    rec = table({1: (3e-6, 0.2)}, n=25_000)
+    whirl = 0.4e-6 * np.cos(TURN * 47.0 * rec.time)
+    moved = rec.with_signals(p=rec.signal("p") + np.column_stack([whirl, 0 * whirl]))
+    left = runout_leftover(identify_runout(rec), moved)
+    np.testing.assert_allclose(left.noise, NOISE, rtol=0.03)
+    assert left.frequency_hz[0] == pytest.approx(47.0, abs=0.2)
+    assert left.order[0] == pytest.approx(47.0 * 60 / 5900, rel=0.01)
+    assert left.non_synchronous[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
+    assert left.line_rms[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
+    assert left.over_noise[1] == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("pressure", [3.0, 5.0, 7.0])
+def test_run_out_and_unbalance_at_6000_rpm_leave_the_noise(pressure):
+    """Held out: the map is made from two recordings and judged on a third that starts at another angle."""
+    first, second, third = (rig(Stationary(2.0), name, pressure) for name in ("a", "b", "c"))
+    found = compare_runout([first, second])
+    left = runout_leftover(found.runout_map, third)
+    assert left.rms_before.min() > 60 * NOISE
+    assert left.rms.max() < 1.2 * NOISE
+    np.testing.assert_allclose(left.noise, NOISE, rtol=0.06)
+
+
+def test_at_4000_rpm_the_orbit_wanders_and_much_is_left():
+    """Sec. 4: small deviations in the orbit, so that no filter over the angle can eliminate the response."""
+    left = {}
+    for speed in (4000.0, 6000.0):
+        parts = {"non_synchronous": NonSynchronous()}
+        recordings = []
+        for name in ("a", "b"):
+            made = replace(machine(5.0, speed), **parts)
+            conditions = {"pressure_bar": 5.0, "speed_rpm": speed}
+            recordings.append(record(made, Stationary(3.0), conditions=conditions, seed=1, name=name))
+        left[speed] = runout_leftover(compare_runout(recordings[0]).runout_map, recordings[1])
+    assert left[4000.0].over_noise.min() > 2.0
+    assert left[4000.0].non_synchronous.min() > 3 * left[6000.0].non_synchronous.max()
+
+
+# ---- online ----
+
+
+@pytest.mark.parametrize("method", ["harmonics", "bins"])
+@pytest.mark.parametrize("median", [1, 3, 7])
+def test_online_is_the_offline_filter_bit_for_bit(method, median):
+    still, excited = rig(Stationary(0.5), "still"), rig(Prbs(0.5), "prbs")
+    made = identify_runout(still, method=method, harmonics=15)
+    offline, report = prefilter(excited, made, median=median)
+    online = OnlinePrefilter(made, offset=report.offsets["p"], median=median)
+    values = zip(excited.signal("p"), excited.signal("phi")[:, 0], strict=True)
+    found = [online.step(p, phi) for p, phi in values]
+    assert found[: online.delay] == [None] * online.delay
+    late = found[online.delay :] + online.finish()
+    assert np.array_equal(np.array(late), offline.signal("p"))
+    assert online.delay == median // 2
+
+
+def test_online_without_offset_is_offline_without_removing_means():
+    still, excited = rig(Stationary(0.5), "still"), rig(Prbs(0.5), "prbs")
+    made = identify_runout(still)
+    offline, _ = prefilter(excited, made, median=1, remove_mean=False)
+    online = OnlinePrefilter(made, median=1)
+    found = [online.step(p, phi) for p, phi in zip(excited.signal("p"), excited.signal("phi")[:, 0], strict=True)]
+    assert np.array_equal(np.array(found), offline.signal("p"))
+
+
+@settings(deadline=None, max_examples=30)
+@given(values=st.lists(st.floats(-1e3, 1e3), min_size=7, max_size=30), half=st.integers(0, 3))
+def test_online_median_alone(values, half):
+    rec = Recording({"p": np.array(values)[:, None]}, 1.0)
+    offline, _ = prefilter(rec, median=2 * half + 1, remove_mean=False)
+    online = OnlinePrefilter(None, median=2 * half + 1)
+    found = [online.step([value], None) for value in values]
+    assert np.array_equal(np.array(found[half:] + online.finish()), offline.signal("p"))
+
+
+def test_online_refuses_a_bad_sample_and_goes_on():
+    made = identify_runout(rig(Stationary(0.5), "still"))
+    online = OnlinePrefilter(made, median=1)
+    first = online.step([1e-6, 2e-6], 0.3)
+    for position, angle in (([np.nan, 0.0], 0.3), ([0.0], 0.3), ([0.0, 0.0], None)):
+        with pytest.raises(DataError):
+            online.step(position, angle)
+    assert np.array_equal(online.step([1e-6, 2e-6], 0.3 + 0.0), first)
+    with pytest.raises(UsageError, match="odd"):
+        OnlinePrefilter(made, median=2)
+    with pytest.raises(UsageError, match="offset"):
+        OnlinePrefilter(made, offset=[0.0])
+
+
+# ---- index ----
+
+
+@pytest.mark.parametrize("experiment", [Stationary(2.0), Prbs(2.0)], ids=["still", "excited"])
+@pytest.mark.parametrize("method", ["harmonics", "bins"])
+def test_missing_index_is_found_from_the_run_out(experiment, method):
+    made = identify_runout(rig(Stationary(2.0), "still"), method=method)
+    rec = rig(experiment, "other")
+    shift = 2.1
+    lost = rec.with_signals(phi=np.mod(rec.signal("phi") - shift, TURN))
+    found = align_index(made, lost)
+    assert found.sure
+    # An encoder count is 1.5 mrad; half of it may be off by the map's own entries.
+    assert abs(found.offset - shift) < 5 * found.std + 0.8e-3
+    aligned = found.apply(lost)
+    assert "degrees added to phi" in aligned.provenance["index"]
+    true, _ = prefilter(rec, made, median=1)
+    ours, _ = prefilter(aligned, made, median=1)
+    assert np.abs(ours.signal("p") - true.signal("p")).max() < 30e-9
+    # not aligned, the map does harm instead
+    assert prefilter(lost, made)[1].runout_share.max() < prefilter(rec, made)[1].runout_share.min()
+
+
+def test_index_of_the_rig_that_never_saw_it():
+    made = identify_runout(rig(Stationary(2.0), "still"))
+    lost = rig(Stationary(2.0), "other", faults=Faults(missing_index=True))
+    aligned = align_index(made, lost).apply(lost)
+    assert runout_leftover(made, aligned).rms.max() < 1.2 * NOISE
+
+
+def test_std_of_the_offset_is_honest():
+    """Scatter of the estimate over recordings with known offset."""
+    amplitudes = {1: (0.5e-6, 0.2), 2: (0.2e-6, 1.0)}
+    made = identify_runout(table(amplitudes, n=100_000, noise=1e-9))
+    errors, stds = [], []
+    for seed in range(40):
+        found = align_index(made, table(amplitudes, n=4000, noise=200e-9, seed=seed))
+        errors.append((found.offset + np.pi) % TURN - np.pi)
+        stds.append(found.std)
+    assert 0.7 < np.std(errors) / np.mean(stds) < 1.4
+
+
+def test_run_out_alike_after_half_a_turn_is_not_sure():
+    only_second = {2: (2e-6, 0.4)}
+    made = identify_runout(table(only_second))
+    found = align_index(made, table(only_second, seed=2))
+    assert not found.sure
+    assert abs(abs(found.offset - found.next_best) - np.pi) < 0.01
+    with pytest.raises(DataError, match="cannot be told"):
+        found.apply(table(only_second))
+
+
+def test_another_machines_map_is_not_sure():
+    made = identify_runout(table({1: (2e-6, 0.4), 2: (1e-6, 0.0), 3: (1e-6, 1.0)}))
+    found = align_index(made, table({4: (2e-6, 0.4), 5: (1e-6, 0.2)}, seed=2))
+    assert found.explained < 0.5
+    assert not found.sure
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "words"),
+    [
+        (lambda made, rec: align_index(made, rec, orders=0), UsageError, "at least 1"),
+        (lambda made, rec: align_index(made, rec.slice(0, 200)), DataError, "too few to find the index"),
+        (lambda made, rec: align_index(replace(made, method="mean"), rec), UsageError, "at rest"),
+        (lambda made, rec: align_index(replace(made, channels=("a", "b")), rec), DataError, "channels"),
+    ],
+)
+def test_wrong_alignments_are_named(call, error, words):
+    rec = table({1: (2e-6, 0.4)})
+    with pytest.raises(error, match=words):
+        call(identify_runout(rec), rec)
+
+
+def test_sensor_noise_is_the_rigs():
+    assert SensorChain().noise_p == NOISE

@@ -1,0 +1,212 @@
+"""Faults of the measuring chain are found by name, and nothing is found where nothing is wrong."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rig_point import machine
+
+from gbid.recording import Recording, find_group_problems, find_problems, import_recording
+from gbid.recording.quality_rub import find_rub
+from gbid.rig import (
+    Faults,
+    FilmStiffening,
+    FlexibleMode,
+    Hammer,
+    NonSynchronous,
+    PiezoStacks,
+    Prbs,
+    ProcessNoise,
+    RunUp,
+    Staircase,
+    Stationary,
+    record,
+    touch_downs,
+)
+
+POINTS = [(p, n) for p in (3.0, 4.0, 5.0, 6.0, 7.0) for n in (0.0, 4000.0, 6000.0)]
+DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
+TURN = 2 * np.pi
+
+
+def rig(experiment, pressure=5.0, speed=6000.0, name="rec", seed=1, made=None, **options):
+    conditions = {"pressure_bar": pressure, "speed_rpm": speed}
+    return record(made or machine(pressure, speed), experiment, conditions=conditions, seed=seed, name=name, **options)
+
+
+@pytest.fixture(scope="module")
+def prbs():
+    return {point: rig(Prbs(1.0), *point) for point in POINTS}
+
+
+def found(rec, signals=None):
+    return [(p.kind, p.signal, p.channel) for p in find_problems(rec, signals) if p.kind != "constant"]
+
+
+def swapped(rec, *names):
+    return rec.with_signals(**{name: rec.signal(name)[:, ::-1] for name in names})
+
+
+def dead(rec, name, channel, noise=30e-9):
+    values = rec.signal(name).copy()
+    values[:, channel] = 2e-6 + noise * np.random.default_rng(7).standard_normal(len(values))
+    return rec.with_signals(**{name: values})
+
+
+# ---- no false alarms ----
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_nothing_is_wrong_with_clean_recordings(point, prbs):
+    assert found(prbs[point]) == []
+    assert found(rig(Stationary(1.0), *point)) == []
+
+
+@pytest.mark.parametrize("point", [(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
+def test_nothing_is_wrong_with_the_whole_rig(point):
+    made = replace(
+        machine(*point),
+        actuator=PiezoStacks(),
+        flexible_mode=FlexibleMode(),
+        stiffening=FilmStiffening(),
+        non_synchronous=NonSynchronous(),
+        process_noise=ProcessNoise(),
+    )
+    assert found(rig(Prbs(1.0), *point, made=made)) == []
+    assert found(rig(Stationary(1.0), *point, made=made)) == []
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [Staircase("x", hold_s=0.2), Staircase("y", hold_s=0.2), Hammer(), RunUp()],
+    ids=lambda e: repr(e)[:16],
+)
+def test_nothing_is_wrong_with_other_experiments(experiment):
+    assert found(rig(experiment, 6.0, 0.0)) == []
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason="the measured recordings are not on this machine")
+def test_nothing_is_wrong_with_measured_rigs():
+    for k in range(1, 5):
+        signals = {"u": {"columns": f"u{k}", "unit": "", "stored_unit": ""}, "y": {"columns": f"y{k}", "unit": "rad"}}
+        signals["u"]["channels"] = "u"
+        for signal in signals.values():
+            signal["columns"] = (signal["columns"],)
+        signals["u"]["channels"] = ("u",)
+        mapping = {"name": f"arm{k}", "sample_time_s": 0.01, "signals": signals}
+        kinds = [problem.kind for problem in find_problems(import_recording(DATA / "rotary_arm.npz", mapping))]
+        assert set(kinds) <= {"saturated"}  # one drive is a ramp that ends at its limit by design
+    values = np.load(DATA / "twin_mode_rig.npz")["noise"]
+    twin = Recording({"u": values[:, :2], "y": values[:, 2:]}, 0.025, units={"u": "V", "y": "V"})
+    assert find_problems(twin) == []
+    # the same rig under the names of ours: it does answer, and straight
+    assert find_problems(Recording({"u": values[:, :2], "p": values[:, 2:]}, 0.025)) == []
+
+
+# ---- swapped and dead ----
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_swapped_channels_are_caught_by_name(point, prbs):
+    for name in ("r", "u", "p"):
+        assert found(swapped(prbs[point], name)) == [("swapped", name, "")]
+
+
+@pytest.mark.parametrize("point", POINTS)
+def test_dead_sensors_are_caught_by_name(point, prbs):
+    for name in ("u", "p"):
+        for number, channel in enumerate("xy"):
+            assert found(dead(prbs[point], name, number)) == [("dead", name, channel)]
+
+
+def test_swapped_without_references_leaves_it_open(prbs):
+    rec = prbs[5.0, 0.0]
+    alone = replace(rec, signals={name: rec.signal(name) for name in ("u", "p")})
+    assert found(alone) == []
+    (problem,) = find_problems(swapped(alone, "p"))
+    assert "either 'u' or 'p' has x and y swapped" in problem.text
+
+
+def test_texts_name_recording_channel_evidence_and_cure(prbs):
+    (problem,) = [p for p in find_problems(dead(prbs[5.0, 0.0], "p", 1)) if p.kind == "dead"]
+    for word in ("recording 'rec'", "signal 'p' channel 'y' is dead", "does not answer 'r'", "coherence 0.", "cable"):
+        assert word in problem.text
+
+
+def test_only_the_signals_asked_for_are_reported(prbs):
+    assert found(swapped(prbs[5.0, 0.0], "p"), ["r", "u"]) == []
+
+
+def test_faults_of_the_rig_are_caught():
+    assert found(rig(Prbs(1.0), faults=Faults(swapped=("p",)))) == [("swapped", "p", "")]
+    assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(dead={"p.y": 1e-6})))] == ["constant"]
+    assert [p.kind for p in find_problems(rig(Prbs(1.0), faults=Faults(sample_time_factor=1.25)))] == ["sample_time"]
+    assert found(rig(Prbs(1.0), faults=Faults(spikes_per_s=20.0))) == []  # the median of three takes these out
+
+
+# ---- rub ----
+
+
+@pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 6e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 9e-6)])
+def test_a_rub_is_caught_by_name(point, clearance):
+    rec = rig(Prbs(2.0), *point, faults=Faults(rub_clearance=clearance))
+    assert touch_downs(rec)
+    problems = [p for p in find_problems(rec) if p.kind == "rub"]
+    assert [(p.signal, p.channel) for p in problems] == [("p", "")]
+    assert "impacts at" in problems[0].text
+
+
+def test_a_rub_at_the_true_clearance_is_caught():
+    rec = rig(Prbs(2.0, amplitude=9e-6, hold_s=5e-3), touch_down="flag")
+    assert len(touch_downs(rec)) > 5
+    assert "rub" in [p.kind for p in find_problems(rec)]
+
+
+def test_a_rub_without_input_and_angle_is_caught():
+    rec = rig(Prbs(2.0), 5.0, 0.0, faults=Faults(rub_clearance=7e-6))
+    alone = replace(rec, signals={"p": rec.signal("p")})
+    assert [p.kind for p in find_rub(alone)] == ["rub"]
+
+
+# ---- clock and encoder ----
+
+
+def test_encoder_faults_are_named_and_the_wrap_is_not(prbs):
+    rec = prbs[5.0, 6000.0]
+    phi = rec.signal("phi").copy()
+    phi[2000:] = np.mod(phi[2000:] + np.deg2rad(20), TURN)
+    (problem,) = find_problems(rec.with_signals(phi=phi))
+    assert problem.kind == "encoder"
+    assert "jumps 1 times, the first by +20.0 degrees at 0.3998 s" in problem.text
+    phi = rec.signal("phi").copy()
+    phi[1000:1200] = phi[1000]
+    (problem,) = find_problems(rec.with_signals(phi=phi))
+    assert "stays at one angle for 200 samples (4.0%), the first at 0.2000 s" in problem.text
+    assert found(rec.with_signals(phi=np.unwrap(rec.signal("phi"), axis=0))) == []
+
+
+def test_wrong_sample_time_shows_against_the_shaft(prbs):
+    (problem,) = find_problems(replace(prbs[5.0, 6000.0], sample_time=1e-3))
+    assert problem.kind == "sample_time"
+    assert "phi turns at 1200.0 rpm, but speed_rpm = 6000; a sample time of 0.0002 s would fit" in problem.text
+
+
+def test_wrong_sample_time_shows_beside_the_others_at_rest():
+    group = [rig(Prbs(1.0), 5.0, 0.0, name=f"r{i}") for i in range(4)]
+    assert find_group_problems(group) == {}
+    group[2] = replace(group[2], sample_time=1e-3)
+    problems = find_group_problems(group)
+    assert {name: [p.kind for p in own] for name, own in problems.items()} == {"r2": ["sample_time"]}
+    assert "a sample time of 0.0002 s would fit" in problems["r2"][0].text
+    # another hold at the right clock is another experiment, not a fault
+    group[2] = rig(Prbs(1.0, hold_s=10e-3), 5.0, 0.0, name="r2")
+    assert find_group_problems(group) == {}
+
+
+def test_one_content_under_two_names():
+    one, two = (rig(Prbs(1.0), name=name) for name in ("one", "two"))
+    problems = find_group_problems([one, two, replace(one, name="copy")])
+    assert list(problems) == ["copy"]
+    assert problems["copy"][0].kind == "duplicate"
+    assert "holds the same samples as 'one'" in problems["copy"][0].text

@@ -1,0 +1,159 @@
+"""Static characterisation and the deeper prefilter as stages of an experiment and on the command line."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from experiment_files import gbid, write_quick
+
+from gbid.characterise import PiezoCurve, StaticMap, load_static
+from gbid.experiment.load import load_experiment
+from gbid.experiment.problems import ExperimentError
+from gbid.experiment.stages import Job, make_rig_recordings, prefilter_recordings, run_static
+from gbid.lpv import load_model
+from gbid.prefilter import load_prefilter
+from gbid.recording import load_recording
+
+STATIC = """\
+format: 1
+name: stairs
+rig:
+  seed: 3
+  operating_points:
+    - {pressure_bar: 6.0, speed_rpm: 0}
+  duration_s: 0.5
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+  actuators: {kind: stacks}
+  staircase: {hold_s: 0.2}
+  stack_staircase: {hold_s: 0.2, controlled: [false]}
+static:
+  film: {recordings: "p6_n0_stairs_*", keep: 0.4}
+  stack4: {recordings: "p6_n0_stack4_open1", kind: piezo, command: v, position: y_p, channel: "4"}
+"""
+
+PREFILTER = """\
+format: 1
+name: auto
+rig:
+  seed: 3
+  operating_points:
+    - {pressure_bar: 5.0, speed_rpm: 6000}
+  duration_s: 1.0
+  prbs: {recordings: 1}
+  stationary: {recordings: 2}
+prefilter:
+  method: auto
+  median: 1
+"""
+
+
+@pytest.fixture(scope="module")
+def stairs(tmp_path_factory):
+    path = write_quick(tmp_path_factory.mktemp("stairs"), text=STATIC)
+    make_rig_recordings(Job(load_experiment(path)))
+    return path
+
+
+def test_static_writes_maps_and_tables(stairs, capsys):
+    assert gbid("static", stairs, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert [entry["name"] for entry in document["static"]] == ["film", "stack4"]
+    results = stairs.parent / "results" / "stairs" / "static"
+    made = load_static(results / "film.h5", StaticMap)
+    # the published model knows its static gain
+    truth = load_model("theisen2016").at(6.0, 0.0).static_gain()
+    interval = made.interval(0.999)
+    assert ((interval[..., 0] < truth) & (truth < interval[..., 1])).all()
+    gains = document["static"][0]["gains"]
+    assert [(g["input"], g["output"]) for g in gains[:2]] == [("u_x", "p_x"), ("u_y", "p_x")]
+    assert gains[0]["gain"] == made.gain[0, 0]
+    curve = load_static(results / "stack4.h5", PiezoCurve)
+    assert document["static"][1]["hysteresis"] == curve.hysteresis
+    assert curve.hysteresis == pytest.approx(8.4e-6, rel=0.05)
+    with (results / "film.csv").open() as handle:
+        lines = list(csv.DictReader(line for line in handle if not line.startswith("#")))
+    assert len(lines) == len(made.command) == 50
+    assert float(lines[3]["p_x [m]"]) == made.output_mean[3, 0]
+    again = run_static(Job(load_experiment(stairs)))
+    assert [outcome.state for outcome in again] == ["kept"] * 4
+
+
+def test_static_prints_a_table(stairs, capsys):
+    assert gbid("static", stairs) == 0
+    printed = capsys.readouterr().out
+    for word in ("u_x to p_x", "rms off", "hysteresis", "creep per step", "%"):
+        assert word in printed
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("p6_n0_stairs_*", "p6_n0_stars", "no recording matches 'p6_n0_stars'"),
+        ("command: v,", "command: w,", "has no signal 'w'"),
+        ("kind: piezo, ", "", "is for kind: piezo; leave it out for kind: bearing"),
+        ('"p6_n0_stack4_open1", kind', '"p6_n0_st*", kind', "characterised from one recording"),
+        ('channel: "4"', 'channel: "4", limits: [1, 0]', "give the lower end first"),
+        ("keep: 0.4", "keep: 1.4", "static.film.keep: must be at most 1"),
+    ],
+)
+def test_wrong_sections_are_named(tmp_path, old, new, words):
+    with pytest.raises(ExperimentError, match=words.replace("[", r"\[")):
+        load_experiment(write_quick(tmp_path, (old, new), text=STATIC))
+
+
+def test_nothing_to_characterise_is_said(tmp_path, capsys):
+    path = write_quick(tmp_path)
+    assert gbid("static", path) == 2
+    assert "no section 'static'" in capsys.readouterr().err
+
+
+def test_a_plateau_too_short_is_a_failure_beside_the_others(stairs, tmp_path):
+    path = write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STATIC)
+    experiment = load_experiment(path)
+    make_rig_recordings(Job(experiment))
+    outcomes = run_static(Job(experiment))
+    assert [(o.item, o.state) for o in outcomes[:2]] == [("film", "failed"), ("stack4", "made")]
+    assert "hold each step longer" in outcomes[0].text
+
+
+def test_prefilter_auto_chooses_and_says_so(tmp_path):
+    experiment = load_experiment(write_quick(tmp_path, text=PREFILTER))
+    job = Job(experiment)
+    make_rig_recordings(job)
+    outcomes = prefilter_recordings(job)
+    assert {o.state for o in outcomes} == {"made"}
+    assert "method auto: harmonics, 5; it leaves 30" in outcomes[-1].text
+    runout_map, (report,) = load_prefilter(outcomes[-1].path)
+    assert runout_map is not None
+    assert len(runout_map.orders) == 5
+    assert any("method auto: harmonics, 5" in note for note in report.notes)
+
+
+def test_prefilter_aligns_recordings_of_an_encoder_without_index(tmp_path):
+    path = write_quick(tmp_path, ("method: auto", "align_index: true"), text=PREFILTER)
+    job = Job(load_experiment(path))
+    (first, second, excited) = make_rig_recordings(job)
+    assert {o.state for o in prefilter_recordings(job)} == {"made"}
+    filtered = load_recording(job.path("prefiltered", excited.item))
+    # the encoder of these has its index, so the offset is next to nothing
+    words = filtered.provenance["index"].split()
+    assert min(float(words[0]), 360 - float(words[0])) < 0.5
+    assert np.std(filtered.signal("p")) > 1e-6
+    assert first.item != second.item
+
+
+def test_check_names_two_recordings_of_one_content(tmp_path, capsys):
+    from experiment_files import SPRING, write_spring
+
+    path = write_spring(tmp_path, ("file: run2.csv", "file: run1.csv"))
+    assert "run2.csv" in SPRING
+    assert gbid("check", path) == 3
+    assert "recording 'run2' holds the same samples as 'run1'" in capsys.readouterr().err
+    path = write_spring(tmp_path / "copied")
+    data = path.parent / "data"
+    text = (data / "run1.csv").read_text()
+    (data / "run2.csv").write_text("# copied, so another file\n" + text)
+    assert gbid("check", path) == 3
+    assert "recording 'run2' holds the same samples as 'run1'" in capsys.readouterr().err

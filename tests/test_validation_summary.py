@@ -1,0 +1,208 @@
+"""Many models on many recordings against one by one, their summary, and how it is stored."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, levels, simulated
+from rig_point import machine
+
+from gbid.errors import DataError, UsageError
+from gbid.identify import fit
+from gbid.recording import Recording
+from gbid.rig import Prbs, record
+from gbid.structure import PiezoPair, Plant, RotorBearing
+from gbid.validate import (
+    ValidationScores,
+    check_residuals,
+    cross_validate,
+    cross_validate_many,
+    load_validation_summary,
+    save_validation_summary,
+    summarise,
+)
+from gbid.validate.store import write_summary_csv
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    point = {"pressure_bar": 5.0, "speed_rpm": 6000.0}
+    return [record(machine(), Prbs(0.5), conditions=point, seed=i, name=f"r{i}") for i in range(3)]
+
+
+def with_mean_removed(rec):
+    return rec.with_signals(**{name: v - v.mean(axis=0) for name, v in rec.signals.items()})
+
+
+# ---- many against one by one ----
+
+
+@pytest.mark.parametrize(
+    ("structure", "options"),
+    [
+        (PiezoPair(), {}),
+        (PiezoPair(), {"offsets": True}),
+        (RotorBearing(), {"max_iterations": 2}),
+        (RotorBearing(), {"intersample": "zoh", "focus": "simulation", "max_iterations": 2}),
+        (Plant(RotorBearing(delay="exact", disturbance_gain="none")), {"stop": "paper", "max_iterations": 3}),
+    ],
+    ids=["piezos", "offsets", "bearing", "held", "exact delay"],
+)
+def test_many_at_once_agree_with_one_by_one(recordings, structure, options):
+    data = [with_mean_removed(rec) for rec in recordings]
+    results = [fit(structure, rec, **options) for rec in data[:2]]
+    scores = cross_validate_many(results, data)
+    assert list(zip(scores.models, scores.recordings, strict=True)) == [
+        ("r0", "r1"),
+        ("r0", "r2"),
+        ("r1", "r0"),
+        ("r1", "r2"),
+    ]
+    ones = [cross_validate(results[i], data[j]) for i, j in ((0, 1), (0, 2), (1, 0), (1, 2))]
+    np.testing.assert_allclose(scores.fit_percent, [v.fit_percent for v in ones], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(scores.infinity_norm, [v.infinity_norm for v in ones], rtol=1e-9)
+    assert scores.output_names == ones[0].output_names
+    np.testing.assert_array_equal(scores.pressure_bar, 5.0)
+
+
+def test_repeated_poles_are_no_obstacle(recordings):
+    """Two equal poles have no eigenvectors of their own: the modes cannot be run apart."""
+    result = fit(PiezoPair(), recordings[0])
+    A = np.array(result.model.A)
+    A[1] = [-A[0, 0] * -1.0, A[0, 0], 0, 0]  # the fast pole of x made equal to the slow one
+    double = replace(result, model=replace(result.model, A=A))
+    scores, one = cross_validate_many([double], recordings[1:2]), cross_validate(double, recordings[1])
+    np.testing.assert_allclose(scores.fit_percent[0], one.fit_percent, atol=1e-9)
+
+
+def test_a_pair_is_refused_as_by_itself(recordings):
+    result = fit(PiezoPair(), recordings[0])
+    slow = Recording(recordings[1].signals, 4e-4, name="slow", channels=dict(recordings[1].channels))
+    with pytest.raises(DataError, match=r"'slow' has sample time 0\.0004 s"):
+        cross_validate_many([result], [slow])
+    wild = replace(result, model=replace(result.model, A=-100 * np.array(result.model.A)))
+    with pytest.raises(DataError, match="overflows on recording 'r1'"):
+        cross_validate_many([wild], recordings[1:2])
+    with pytest.raises(DataError, match="no pair"):
+        cross_validate_many([result], recordings[:1])
+
+
+# ---- stretches left out ----
+
+
+def test_stretches_left_out_do_not_count():
+    """Rubbish in the outputs of a stretch changes nothing once it is left out, before and beside its fit."""
+    result = fit(MODE, simulated(MODE, MODE_AT, levels(400), name="first"), focus="simulation")
+    clean = simulated(MODE, MODE_AT, levels(600, seed=3), x0=[1.0, 2.0], name="b")
+    y = clean.signal("y").copy()
+    y[100:160], y[0:20] = 1e3, -1e3
+    bad, left_out = clean.with_signals(y=y), [(100, 160), (0, 20)]
+    found = cross_validate(result, bad, left_out)
+    assert found.fit_percent[0] == pytest.approx(100, abs=1e-2)
+    np.testing.assert_allclose(found.initial_state, [1.0, 2.0], rtol=1e-3)
+    assert found.simulated.shape == found.measured.shape == (600, 1)
+    assert cross_validate(result, bad).fit_percent[0] < 50
+    kept = np.r_[20:100, 160:600]
+    expected = 100 * (1 - np.linalg.norm(y[kept] - found.simulated[kept]) / np.linalg.norm(y[kept] - y[kept].mean()))
+    assert found.fit_percent[0] == pytest.approx(expected, rel=1e-12)
+    assert check_residuals(result, bad, 20, left_out).infinity_norm[0] < 1e-2 < check_residuals(result, bad, 20).rms[0]
+
+
+@pytest.mark.parametrize("stretch", [(-1, 5), (5, 5), (590, 601), (0, 600)])
+def test_stretches_beyond_the_recording_are_refused(stretch):
+    result = fit(MODE, simulated(MODE, MODE_AT, levels(400)), focus="simulation")
+    with pytest.raises(DataError, match="left out"):
+        cross_validate(result, simulated(MODE, MODE_AT, levels(600, seed=3)), [stretch])
+
+
+# ---- the summary ----
+
+
+def some_scores(n=40, seed=0):
+    random = np.random.default_rng(seed)
+    return ValidationScores(
+        tuple(f"m{i % 8}" for i in range(n)),
+        tuple(f"r{i}" for i in range(n)),
+        np.repeat([6.0, 3.0], n // 2),
+        np.tile([0.0, 4000.0], n // 2),
+        ("p_x", "p_y"),
+        ("m", "m"),
+        np.column_stack([random.normal(81, 2.7, n), random.normal(85, 3.4, n)]),
+        random.uniform(1e-6, 5e-6, (n, 2)),
+    )
+
+
+def test_summary_is_that_of_numpy():
+    scores = some_scores()
+    found = summarise(scores, bins=8, worst=2)
+    assert (found.n_pairs, found.n_models, found.n_recordings) == (40, 8, 40)
+    np.testing.assert_allclose(found.mean, scores.fit_percent.mean(0))
+    np.testing.assert_allclose(found.std, scores.fit_percent.std(0, ddof=1))
+    np.testing.assert_allclose(found.infinity_norm_max, scores.infinity_norm.max(0))
+    np.testing.assert_array_equal(found.counts.sum(axis=1) + found.below, [40, 40])
+    assert found.counts.shape == (2, 8)
+    assert found.edges.shape == (2, 9)
+    order = np.argsort(scores.fit_percent[:, 1])
+    assert [w.recording for w in found.worst if w.output == "p_y"] == [f"r{i}" for i in order[:2]]
+    assert [(p.pressure_bar, p.speed_rpm) for p in found.points] == [(3, 0), (3, 4000), (6, 0), (6, 4000)]
+    rows = (scores.pressure_bar == 3) & (scores.speed_rpm == 4000)
+    np.testing.assert_allclose(found.points[1].mean, scores.fit_percent[rows].mean(0))
+    assert sum(p.n_pairs for p in found.points) == 40
+
+
+def test_one_hopeless_model_does_not_flatten_the_histogram():
+    scores = some_scores()
+    fit = scores.fit_percent.copy()
+    fit[3, 0] = -4e4
+    found = summarise(replace(scores, fit_percent=fit))
+    assert found.below.tolist() == [1, 0]
+    assert found.edges[0, 0] > 50
+    assert found.least[0] == -4e4
+    assert found.worst[0].model == "m3"
+
+
+def test_points_that_are_not_known_are_one():
+    nowhere = np.full(40, np.nan)
+    found = summarise(replace(some_scores(), pressure_bar=nowhere, speed_rpm=nowhere))
+    assert [p.n_pairs for p in found.points] == [40]
+
+
+def test_equal_fits_and_single_pairs():
+    scores = some_scores(2)
+    same = summarise(replace(scores, fit_percent=np.full((2, 2), 99.0)))
+    np.testing.assert_array_equal(same.std, 0)
+    assert same.counts.sum() == 4
+    assert np.isnan(summarise(some_scores(2)).points[0].std).all()
+    with pytest.raises(UsageError, match="bins = 0"):
+        summarise(scores, bins=0)
+    with pytest.raises(DataError, match="nothing to summarise"):
+        summarise(replace(scores, models=()))
+
+
+def test_summary_comes_back_as_it_was(tmp_path):
+    found = summarise(some_scores(), failed=["m1 on r2: not there"])
+    save_validation_summary(found, tmp_path / "a.h5")
+    back = load_validation_summary(tmp_path / "a.h5")
+    for name in ("mean", "std", "edges", "counts", "below", "infinity_norm_max", "median"):
+        np.testing.assert_array_equal(getattr(back, name), getattr(found, name))
+    assert back.worst == found.worst
+    assert back.failed == found.failed
+    assert (back.n_pairs, back.output_names, back.output_units) == (40, ("p_x", "p_y"), ("m", "m"))
+    for one, other in zip(back.points, found.points, strict=True):
+        assert (one.pressure_bar, one.speed_rpm, one.n_pairs) == (other.pressure_bar, other.speed_rpm, other.n_pairs)
+        np.testing.assert_array_equal(one.mean, other.mean)
+    with pytest.raises(UsageError, match="exists already"):
+        save_validation_summary(found, tmp_path / "a.h5")
+    write_summary_csv(found, tmp_path / "a.csv")
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    assert lines[1] == "pressure_bar,speed_rpm,output,pairs,mean,std,infinity_norm,unit"
+    assert lines[2].startswith(f"all,all,p_x,40,{found.mean[0]!r},".replace("np.float64(", "").replace(")", ""))
+    assert len(lines) == 2 + 2 * 5
+
+
+def test_the_hold_of_the_fit_is_kept_for_many():
+    first = simulated(MODE, MODE_AT, levels(400), name="first")
+    result = fit(MODE, first, focus="simulation", intersample="foh")
+    other = simulated(MODE, MODE_AT, levels(300, seed=4), name="b")
+    scores = cross_validate_many([result], [other])
+    np.testing.assert_allclose(scores.fit_percent[0], cross_validate(result, other).fit_percent, atol=1e-10)
