@@ -57,6 +57,7 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("seed: 3", "seed: true", "seed: true", ["rig.seed", "whole number", "True"]),
         ("4.5e-6", "4.5 um", "amplitude_m: 4.5 um", ["rig.prbs.amplitude_m", "the bare number"]),
         ("4.5e-6", "-1.0e-6", "amplitude_m: -1.0e-6", ["above 0", "-1e-06"]),
+        ("30e-9", "[1e-9, 1e-9, 1e-9]", "noise_p_m: [", ["two of them for x and y"]),
         ("30e-9", ".nan", "noise_p_m: .nan", ["finite number", "nan"]),
         ("stop: paper", "stop: papper", "stop: papper", ["fits.bearing.stop", "'tolerance' or 'paper'", "'papper'"]),
         ("stop: paper", "window: 1", "window: 1", ["fits.bearing.window", "at least 2"]),

@@ -376,3 +376,17 @@ def test_a_machine_from_parameters_by_name():
         Machine.from_parameters({key: value for key, value in p.items() if key != "tau_y"}, a)
     with pytest.raises(UsageError, match="actuator: no value for p1_x, p2_x"):
         Machine.from_parameters(p, {key: value for key, value in a.items() if key not in ("p1_x", "p2_x")})
+
+
+def test_noise_of_the_two_axes_may_differ():
+    quiet, loud = 1e-9, 100e-9
+    made = record(
+        machine(sensors=SensorChain(noise_p=(quiet, loud))),
+        Stationary(1.0),
+        conditions={"speed_rpm": 0.0},
+        seed=1,
+        name="axes",
+    )
+    np.testing.assert_allclose(made.signal("p").std(axis=0), [quiet, loud], rtol=0.05)
+    with pytest.raises(UsageError, match="noise_p"):
+        SensorChain(noise_p=(1e-9, 1e-9, 1e-9))

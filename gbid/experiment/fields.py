@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any, Literal
 
 from pydantic import AllowInfNan, BaseModel, BeforeValidator, ConfigDict, Field, Strict, WithJsonSchema
@@ -14,6 +15,14 @@ def _as_list(value: Any) -> Any:
 def _one_or_several(kind: dict[str, Any]) -> WithJsonSchema:
     """Tell editors that a single word needs no list."""
     return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": 1}]})
+
+
+def _one_or_two(value: Any) -> Any:
+    numbers = tuple(value) if isinstance(value, list | tuple) else (value,)
+    good = all(type(v) in (int, float) and math.isfinite(v) and v >= 0 for v in numbers)
+    if not good or len(numbers) != (2 if isinstance(value, list | tuple) else 1):
+        raise ValueError(f"expected a finite number of at least zero, or two of them for x and y, found {value!r}")
+    return numbers if len(numbers) == 2 else numbers[0]
 
 
 Number = Annotated[float, Strict(), AllowInfNan(False)]
@@ -33,6 +42,19 @@ Names = Annotated[
 ]
 """One or several names; a single one needs no list."""
 Pair = tuple[Number, Number]
+OneOrTwo = Annotated[
+    float | tuple[float, float],
+    BeforeValidator(_one_or_two),
+    WithJsonSchema(
+        {
+            "anyOf": [
+                {"type": "number", "minimum": 0},
+                {"type": "array", "items": {"type": "number", "minimum": 0}, "minItems": 2, "maxItems": 2},
+            ]
+        }
+    ),
+]
+"""A standard deviation: one for both axes, or x and y."""
 TwoRows = tuple[tuple[Number, ...], tuple[Number, ...]]
 Holds = Annotated[
     tuple[Literal["zoh", "foh"], ...],

@@ -12,6 +12,7 @@ from gbid.experiment.fields import (
     Names,
     NotNegative,
     Number,
+    OneOrTwo,
     Pair,
     Positive,
     Section,
@@ -24,6 +25,7 @@ from gbid.rig import (
     FlexibleMode,
     Hammer,
     Impact,
+    Machine,
     NonSynchronous,
     PiezoStacks,
     Prbs,
@@ -55,6 +57,16 @@ def _rows(array: Any) -> Any:
 Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
 
 
+class Place(Section):
+    """One of the operating points."""
+
+    pressure_bar: Positive
+    speed_rpm: NotNegative
+
+
+Places = Annotated[tuple[Place, ...], Field(min_length=1)]
+
+
 class OperatingPoint(Section):
     """Where the machine runs, and how many PRBS recordings are made there if not as many as elsewhere."""
 
@@ -79,9 +91,13 @@ class StationarySection(Section):
 
 
 class StaircaseSection(Section):
-    """Staircases of the references, `recordings` for each axis (paper, Sec. 3.1); see `gbid.rig.Staircase`."""
+    """Staircases of the references, `recordings` for each axis (paper, Sec. 3.1); see `gbid.rig.Staircase`.
+
+    `at`: the operating points where; all when left out.
+    """
 
     recordings: CountOrZero = 1
+    at: Places | None = None
     axes: Axes = ("x", "y")
     step_m: Positive = _STAIRCASE.step
     steps: Count = _STAIRCASE.steps
@@ -89,9 +105,13 @@ class StaircaseSection(Section):
 
 
 class StackStaircaseSection(Section):
-    """Staircases of single stacks, open loop and controlled (Figs. A.28, A.29); see `gbid.rig.StackStaircase`."""
+    """Staircases of single stacks, open loop and controlled (Figs. A.28, A.29); see `gbid.rig.StackStaircase`.
+
+    `at`: the operating points where; all when left out.
+    """
 
     recordings: CountOrZero = 1
+    at: Places | None = None
     stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (_STACK.stack,)
     controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
     steps: Count = _STACK.steps
@@ -121,8 +141,8 @@ class RunUpSection(Section):
 class SensorSection(Section):
     """What the rig's sensors add; see `gbid.rig.SensorChain`."""
 
-    noise_p_m: NotNegative = _SENSORS.noise_p
-    noise_u_m: NotNegative = _SENSORS.noise_u
+    noise_p_m: OneOrTwo = _SENSORS.noise_p
+    noise_u_m: OneOrTwo = _SENSORS.noise_u
     noise_f_n: NotNegative = _SENSORS.noise_f
     runout_amplitude_m: TwoRows = Field(default=_rows(_SENSORS.runout_amplitude))
     runout_phase_rad: TwoRows = Field(default=_rows(_SENSORS.runout_phase))
@@ -238,7 +258,7 @@ class RigSection(Section):
     oversampling: Annotated[int, Strict(), Field(ge=20)] = 20
     touch_down: Literal["refuse", "flag"] = "refuse"
     clearance_m: Positive = 25e-6
-    moving_mass_kg: Positive = 2.18
+    moving_mass_kg: Positive = Machine.moving_mass
     prbs: PrbsSection = PrbsSection()
     stationary: StationarySection = StationarySection()
     staircase: Annotated[StaircaseSection | None, BeforeValidator(given)] = None

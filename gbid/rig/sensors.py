@@ -34,10 +34,10 @@ class SensorChain:
 
     Parameters
     ----------
-    noise_p : float
-        Standard deviation of the white noise of each disc position [m].
-    noise_u : float
-        Standard deviation of the white noise of each piezo position difference [m].
+    noise_p : float or (2,) tuple
+        Standard deviation of the white noise of each disc position [m]; one for both axes, or x and y.
+    noise_u : float or (2,) tuple
+        That of each piezo position difference [m].
     runout_amplitude : (2, n_orders) array
         a [m], axes x and y down, orders 1, 2, ... across. A few micrometres by default.
     runout_phase : (2, n_orders) array
@@ -59,8 +59,8 @@ class SensorChain:
         For negative noise, shapes that do not fit, fewer than 2 counts.
     """
 
-    noise_p: float = 30e-9
-    noise_u: float = 10e-9
+    noise_p: float | tuple[float, float] = 30e-9
+    noise_u: float | tuple[float, float] = 10e-9
     runout_amplitude: FloatArray = field(default_factory=_default_amplitude)
     runout_phase: FloatArray = field(default_factory=_default_phase)
     offset_p: tuple[float, float] = (2.0e-6, -3.0e-6)
@@ -73,7 +73,8 @@ class SensorChain:
     def __post_init__(self) -> None:
         for name in ("noise_p", "noise_u", "noise_f", "resolution_p", "resolution_u"):
             value = getattr(self, name)
-            if not (np.isfinite(value) and value >= 0):
+            pair = name in ("noise_p", "noise_u") and np.shape(value) == (2,)
+            if not (np.ndim(value) == 0 or pair) or not np.isfinite(value).all() or np.min(value) < 0:
                 what = "a standard deviation" if name.startswith("noise") else "a step"
                 unit = "N" if name == "noise_f" else "m"
                 raise UsageError(f"sensors: {name} = {value} {unit}; give {what} of at least zero")

@@ -147,9 +147,9 @@ def record(
     shown = encoder_angle(sensors, angle)
     logged = slice(n_settle, None)
     sensor = runout(sensors, angle) + sensors.offset_p
-    sensor[logged] += sensors.noise_p * noise_p.standard_normal((n_samples, 2))
+    sensor[logged] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_samples, 2))
     # The probes are noisy before the logger starts as well, which only a controller sees.
-    sensor[:n_settle] += sensors.noise_p * noise_p.standard_normal((n_settle, 2))
+    sensor[:n_settle] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_settle, 2))
 
     reasons = _reasons_to_step(machine, experiment, controller)
     if simulation == "exact" and reasons:
@@ -178,7 +178,7 @@ def record(
     signals = {
         "r": motion.r[logged],
         "u": quantised(
-            motion.u[logged] + sensors.offset_u + sensors.noise_u * noise_u.standard_normal((n_samples, 2)),
+            motion.u[logged] + sensors.offset_u + np.asarray(sensors.noise_u) * noise_u.standard_normal((n_samples, 2)),
             sensors.resolution_u,
         ),
         "p": motion.seen[logged],
