@@ -99,7 +99,12 @@ def brute_force(loops: Loops, cap: float | None, floor: float, polish: int = 20)
             lambda g: -loops.value(g, cap, FINE if cap else COARSE),
             start,
             method="Nelder-Mead",
-            options={"xatol": 1e-9, "fatol": 1e-10, "maxfev": 250, "initial_simplex": start + [[0, 0], [0.01, 0], [0, 0.01]]},
+            options={
+                "xatol": 1e-9,
+                "fatol": 1e-10,
+                "maxfev": 250,
+                "initial_simplex": start + [[0, 0], [0.01, 0], [0, 0.01]],
+            },
         )
         if -found.fun > best:
             best, gains = float(-found.fun), found.x

@@ -20,12 +20,14 @@ if TYPE_CHECKING:
         close_loop,
         compare_designs,
         controller_structure,
+        fit_ringdown,
         load_controller,
         maximise_damping,
         pareto,
         save_controller,
         sensitivities,
         tune,
+        validate_impact,
     )
     from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
     from gbid.identify.fit import fit
@@ -90,6 +92,7 @@ __all__ = [
     "fit_lpv",
     "fit_lpv_direct",
     "fit_multistart",
+    "fit_ringdown",
     "identify_runout",
     "import_recording",
     "load_controller",
@@ -111,12 +114,14 @@ __all__ = [
     "sensitivities",
     "summarise",
     "tune",
+    "validate_impact",
     "with_pade",
 ]
 
 _HOME = {
     "characterise": ("PiezoCurve", "StaticMap", "characterise_piezo", "characterise_staircase"),
     "control": (
+        *("fit_ringdown", "validate_impact"),
         *("assess", "close_loop", "compare_designs", "controller_structure"),
         *("load_controller", "save_controller", "sensitivities"),
         *("GainResult", "ParetoFront", "Uncertainty", "maximise_damping", "pareto", "tune"),

@@ -93,12 +93,11 @@ def read_dataset(group: h5py.Group, name: str) -> npt.NDArray[Any]:
     DataError
         When there is no dataset of that name, or it does not hold real numbers.
     """
-    where = f"{group.file.filename}: {group.name.rstrip('/')}/{name}"
     found = group.get(name)
     if not isinstance(found, h5py.Dataset):
-        raise DataError(f"{where} is missing" if found is None else f"{where} is a group, not a dataset")
+        raise DataError(f"{_where(group, name)} is {'missing' if found is None else 'a group, not a dataset'}")
     if found.dtype.kind not in "fiub" or found.shape is None:
-        raise DataError(f"{where} holds {found.dtype}, not numbers")
+        raise DataError(f"{_where(group, name)} holds {found.dtype}, not numbers")
     values: npt.NDArray[Any] = np.asarray(found[()])
     return values
 
@@ -114,3 +113,7 @@ def read_attribute(item: h5py.HLObject, name: str) -> Any:
     if name not in item.attrs:
         raise DataError(f"{item.file.filename}: {item.name} has no attribute {name!r}")
     return item.attrs[name]
+
+
+def _where(group: h5py.Group, name: str) -> str:
+    return f"{group.file.filename}: {group.name.rstrip('/')}/{name}"

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from gbid.experiment.load import Experiment
-from gbid.experiment.stages import CrossvalRow, Job, Outcome, load_made_fit, load_made_static
+from gbid.experiment.stages import CrossvalRow, Job, Outcome, load_made_fit, load_made_static, made_impacts
 from gbid.experiment.stages.crossvalidating import SUMMARY
-from gbid.experiment.structures import make_structure, true_model, true_values
+from gbid.experiment.structures import make_structure, rig_model, true_model, true_values
 from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
+from gbid.report.impact_tables import impact_document
 from gbid.report.rows import fit_document, prefilter_rows
 from gbid.report.static_tables import static_document
 from gbid.report.validation_tables import summary_document
@@ -119,6 +120,16 @@ def static_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
     return [
         {**static_document(name, load_made_static(job, name)), "state": o.state, "path": str(o.path)}
         for name, o in there.items()
+    ]
+
+
+def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Describe impact studies; those that failed are left out."""
+    paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
+    published = rig_model(job.experiment).reference_modes if job.experiment.spec.rig else ()
+    return [
+        impact_document(name, study, paths[name], published)
+        for name, study in made_impacts(job, list(outcomes)).items()
     ]
 
 

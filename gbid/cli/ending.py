@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -11,6 +12,7 @@ from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError,
 from gbid.experiment.stages import CrossvalRow, Outcome
 
 _MISSED = 20  # pairs below the minimum that are named
+_IDLE = 20  # items without input that are named
 
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -23,6 +25,8 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
             "path": str(o.path),
             "converged": o.converged,
             "text": o.text,
+            "cause": o.cause,
+            "failed_before": o.before,
         }
         for o in outcomes
     ]
@@ -33,7 +37,11 @@ def finish(outcomes: Sequence[Outcome], rows: Sequence[CrossvalRow] = ()) -> Non
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
     missed = [row for row in rows if row.missed]
-    for o in failed:
+    idle = [o for o in failed if o.cause == "input"]
+    if len(idle) > _IDLE:
+        for stage, count in Counter(o.stage for o in idle).items():
+            typer.echo(f"gbid: error: {stage}: {count} items had nothing to start from; see what failed", err=True)
+    for o in failed if len(idle) <= _IDLE else [o for o in failed if o.cause != "input"]:
         word = "defect" if o.cause == "defect" else "error"
         again = " (failed before; --retry tries again)" if o.before else ""
         typer.echo(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}", err=True)

@@ -13,7 +13,8 @@ from gbid.cli.check import check
 from gbid.cli.crossval import crossval
 from gbid.cli.exporting import export
 from gbid.cli.fit import fit
-from gbid.cli.groups import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.groups import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.impact import impact
 from gbid.cli.importing import import_data
 from gbid.cli.lpv import lpv
 from gbid.cli.new import new
@@ -85,6 +86,11 @@ app.command(
     epilog=examples("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
 )(lpv)
 app.command("crossval", rich_help_panel=IDENTIFY, epilog=examples("gbid crossval rig1/experiment.yaml"))(crossval)
+app.command(
+    "impact",
+    rich_help_panel=CONTROL,
+    epilog=examples("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
+)(impact)
 app.command(
     "export",
     rich_help_panel=REPORT,

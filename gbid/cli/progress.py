@@ -62,11 +62,10 @@ class PlainReporter:
         """Print what became of the item; of one among many only that it failed."""
         tally = self._tally
         tally.end(outcome)
+        if tally.is_named(outcome):
+            _print(_outcome(outcome))
         if not tally.many or outcome.stage != tally.stage:
-            _print(_outcome(outcome))
             return
-        if outcome.state == "failed" and not outcome.before:
-            _print(_outcome(outcome))
         now = time.monotonic()
         if outcome.state != "kept" and tally.todo and (tally.done == tally.todo or now - self._said > PAUSE):
             self._said = now
@@ -101,11 +100,10 @@ class TerminalReporter:
         """Leave a line with what became of the item; of one among many only when it failed."""
         tally = self._tally
         tally.end(outcome)
+        if tally.is_named(outcome):
+            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
         if not tally.many or outcome.stage != tally.stage:
-            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
             return
-        if outcome.state == "failed" and not outcome.before:
-            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
         self._status.update(tally.text())
         if tally.todo and tally.done == tally.todo:
             self._console.print(tally.text(), markup=False, soft_wrap=True)

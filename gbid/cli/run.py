@@ -26,6 +26,7 @@ def run(
             campaign_document,
             crossval_documents,
             fit_documents,
+            impact_documents,
             prefilter_documents,
             static_documents,
             summary_documents,
@@ -35,7 +36,15 @@ def run(
         from gbid.cli.progress import reporting
         from gbid.cli.tally import MANY
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import choose_nominal, draw_surfaces, made_surfaces, run_crossval, run_static
+        from gbid.experiment.stages import (
+            choose_nominal,
+            draw_surfaces,
+            made_surfaces,
+            run_crossval,
+            run_impacts,
+            run_static,
+        )
+        from gbid.report.impact_tables import impact_tables
         from gbid.report.lpv_tables import lpv_documents, lpv_tables
         from gbid.report.stage import draw_figures
         from gbid.report.static_tables import static_table
@@ -52,13 +61,15 @@ def run(
             made, rows = run_crossval(job)
             chosen, nominal = choose_nominal(job)
             surfaces = draw_surfaces(job)
+            hit = run_impacts(job)
             drawn = draw_figures(job)
-        outcomes += [*collected, *made, *chosen, *surfaces, *drawn]
+        outcomes += [*collected, *made, *chosen, *surfaces, *hit, *drawn]
         fits, validated = fit_documents(job, outcomes), crossval_documents(rows)
         filtered, summaries = prefilter_documents(outcomes), summary_documents(made)
         central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
         static = static_documents(job, outcomes)
         models = lpv_documents(loaded, surfaces, made_surfaces(surfaces))
+        impacts = impact_documents(job, hit)
         figures = [str(o.path) for o in drawn if o.state != "failed"]
         if as_json:
             print_json(
@@ -72,6 +83,7 @@ def run(
                     "crossval_summary": summaries,
                     "nominal": central,
                     "lpv": models,
+                    "impacts": impacts,
                     "figures": figures,
                     "outcomes": outcome_rows(outcomes),
                 }
@@ -91,5 +103,7 @@ def run(
                 print_table(nominal_table(central), "")
             for model in models:
                 print_table(lpv_tables(model))
+            if impacts:
+                print_table(impact_tables(impacts))
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
         finish(outcomes, rows)

@@ -11,6 +11,10 @@ MANY = 12
 """With more items than this, progress is a sum and no longer a line for each."""
 
 
+NAMED = 10
+"""So many failures of a stage with many items are told at once; all of them are listed at the end."""
+
+
 class Tally:
     """Counts the outcomes of one stage.
 
@@ -44,6 +48,12 @@ class Tally:
         self.stuck += outcome.state != "failed" and not outcome.converged
         if outcome.fit_percent < self.worst:
             self.worst, self.worst_item = outcome.fit_percent, outcome.item
+
+    def is_named(self, outcome: Outcome) -> bool:
+        """Whether an outcome gets a line of its own: the first failures of a stage, or all when it has few items."""
+        if not self.many or outcome.stage != self.stage:
+            return True
+        return outcome.state == "failed" and not outcome.before and self.failed <= NAMED
 
     def opening(self) -> str:
         """Say what there is to do."""

@@ -13,6 +13,7 @@ from gbid.control.forces import force_entry
 from gbid.control.sensitivity import sensitivities
 from gbid.discretise import propagate
 from gbid.errors import UsageError
+from gbid.rig import Machine
 from gbid.structure import LinearModel
 
 FloatArray = npt.NDArray[np.float64]
@@ -37,13 +38,14 @@ class HalfSine:
 
     Notes
     -----
-    The paper does not give the mass. The default is that of its shaft and disc together (Table 1), and the default blow
-    moves the disc by some 9 of the 25 um of clearance.
+    The paper does not give the mass. The default is that of the rig, `gbid.rig.Machine.moving_mass`: disc and shaft of
+    Table 1 turn about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
+    default blow moves the disc by some 9 of the 25 um of clearance.
     """
 
-    peak_n: float = 20.0
+    peak_n: float = 12.0
     duration_s: float = 2e-3
-    mass_kg: float = 3.54
+    mass_kg: float = Machine.moving_mass
     direction_deg: float = 0.0
 
     def __post_init__(self) -> None:

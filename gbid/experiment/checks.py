@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 
 from gbid.errors import DataError, UsageError
 from gbid.experiment.checks_fits import FIT_CHECKS, structure_or_none
+from gbid.experiment.checks_impacts import impacts_can_be_made
 from gbid.experiment.checks_lpv import surfaces_can_be_drawn
 from gbid.experiment.checks_options import OPTION_CHECKS
 from gbid.experiment.checks_rig import RIG_CHECKS
@@ -43,7 +44,7 @@ def has_recordings(experiment: Experiment) -> Found:
     spec = experiment.spec
     if spec.rig is None and spec.imported is None:
         yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
-    elif spec.rig is not None and not experiment.recordings:
+    elif spec.rig is not None and not experiment.recordings and spec.impacts is None:
         yield ("rig",), "makes no recordings; set recordings of prbs or stationary to at least 1"
 
 
@@ -190,6 +191,7 @@ CHECKS: tuple[Check, ...] = (
     crossval_has_partners,
     nominal_is_an_actuator,
     surfaces_can_be_drawn,
+    impacts_can_be_made,
     figures_show_fits,
 )
 """All checks, in the order of the file's sections."""

@@ -82,6 +82,18 @@ def stacks_are_there(experiment: Experiment) -> Found:
         yield ("rig", "actuators", "record_stacks"), "needs single stacks; write kind: stacks"
 
 
+def staircases_are_somewhere(experiment: Experiment) -> Found:
+    """Rig: staircases that are for some operating points name such that are there."""
+    rig = experiment.spec.rig
+    there = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
+    for part in ("staircase", "stack_staircase"):
+        section = getattr(rig, part, None)
+        for i, place in enumerate((section.at if section else None) or ()):
+            if (place.pressure_bar, place.speed_rpm) not in there:
+                text = f"{place.pressure_bar:g} bar, {place.speed_rpm:g} rpm is no operating point of the rig; add it"
+                yield ("rig", part, "at", i), text
+
+
 def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
     """List the times that must be whole numbers of samples."""
     yield ("rig", "duration_s"), rig.duration_s
@@ -100,5 +112,5 @@ def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
             yield ("rig", part, key), seconds
 
 
-RIG_CHECKS: tuple[Check, ...] = (rig_runs, stacks_are_there, faults_name_recordings)
+RIG_CHECKS: tuple[Check, ...] = (rig_runs, stacks_are_there, staircases_are_somewhere, faults_name_recordings)
 """Checks of the rig section."""

@@ -9,7 +9,7 @@ from gbid.experiment.folders import FoundFile
 from gbid.experiment.problems import Location
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.schema_import import ImportedSection
-from gbid.experiment.schema_rig import OperatingPoint, RigSection
+from gbid.experiment.schema_rig import OperatingPoint, Place, RigSection
 from gbid.units import SIGNALS
 
 RIG_SIGNALS = {name: SIGNALS[name].channels for name in ("r", "u", "p", "phi")}
@@ -104,10 +104,10 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
     yield from planned("still", rig.stationary.recordings, ("stationary",))
     prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
     yield from planned("prbs", prbs, ("prbs",))
-    if rig.staircase is not None:
+    if rig.staircase is not None and _there(rig.staircase.at, point):
         for axis in rig.staircase.axes:
             yield from planned(f"stairs_{axis}", rig.staircase.recordings, ("staircase", axis))
-    if rig.stack_staircase is not None:
+    if rig.stack_staircase is not None and _there(rig.stack_staircase.at, point):
         for stack in rig.stack_staircase.stacks:
             for controlled in rig.stack_staircase.controlled:
                 word = f"stack{stack}_{'controlled' if controlled else 'open'}"
@@ -117,6 +117,11 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
             yield from planned(f"hammer_{axis}", rig.hammer.recordings, ("hammer", axis))
     if rig.run_up is not None:
         yield from planned("runup", rig.run_up.recordings, ("run_up",))
+
+
+def _there(places: tuple[Place, ...] | None, point: OperatingPoint) -> bool:
+    """Whether a run is asked for at an operating point."""
+    return places is None or any((q.pressure_bar, q.speed_rpm) == (point.pressure_bar, point.speed_rpm) for q in places)
 
 
 def _channels(signal: str, count: int, given: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -18,6 +18,7 @@ from gbid.experiment.fields import (
     Text,
 )
 from gbid.experiment.schema_fits import FitSection
+from gbid.experiment.schema_impacts import ImpactsSection
 from gbid.experiment.schema_import import ImportSection
 from gbid.experiment.schema_lpv import LpvSection
 from gbid.experiment.schema_rig import RigSection, given
@@ -78,4 +79,5 @@ class ExperimentFile(Section):
     crossval: dict[Text, CrossvalSection] = Field(default_factory=dict)
     nominal: Annotated[NominalSection | None, BeforeValidator(given)] = None
     lpv: Annotated[LpvSection | None, BeforeValidator(given)] = None
+    impacts: Annotated[ImpactsSection | None, BeforeValidator(given)] = None
     figures: dict[Text, FigureSection] = Field(default_factory=dict)

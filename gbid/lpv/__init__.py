@@ -1,9 +1,17 @@
 """The linear parameter-varying model: polynomials over pressure and speed, and its files."""
 
 from gbid.lpv.basis import EXPONENTS, TERMS, basis, polynomial, regressors
+from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics
+from gbid.lpv.direct import fit_lpv_direct
 from gbid.lpv.domain import Domain
+from gbid.lpv.estimates import Estimates
+from gbid.lpv.fit_store import load_lpv_fit, save_lpv_fit
 from gbid.lpv.load import load_model, save_model
+from gbid.lpv.lpv_fit import LPVFit
 from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
+from gbid.lpv.order import OrderScore
+from gbid.lpv.outliers import Outlier
+from gbid.lpv.surfaces import fit_lpv
 from gbid.lpv.tables import (
     Correction,
     PiezoController,
@@ -15,19 +23,30 @@ from gbid.lpv.tables import (
 
 __all__ = [
     "ACTUATOR_PARAMETERS",
+    "CHARACTERISTICS",
     "EXPONENTS",
     "TERMS",
     "Correction",
+    "Deviation",
     "Domain",
+    "Estimates",
+    "LPVFit",
     "LPVModel",
+    "OrderScore",
+    "Outlier",
     "PiezoController",
     "PiezoControllers",
     "ProportionalDesign",
     "Quantity",
     "ReferenceModes",
     "basis",
+    "characteristics",
+    "fit_lpv",
+    "fit_lpv_direct",
+    "load_lpv_fit",
     "load_model",
     "polynomial",
     "regressors",
+    "save_lpv_fit",
     "save_model",
 ]

@@ -6,8 +6,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from gbid.atomic import atomic_path
 from gbid.errors import UsageError
-from gbid.hdf5 import atomic_path
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model import LPVModel
 from gbid.lpv.model_file import SCHEMA_VERSION, SI_UNITS, parse
@@ -74,7 +74,14 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a model file ends in .yaml")
     with atomic_path(path, overwrite) as part:
-        write_yaml(_contents(model), part)
+        write_model(model, part)
+
+
+def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
+    """Write a model's YAML, with a comment as its first line when there is one."""
+    write_yaml(_contents(model), path)
+    if comment:
+        path.write_text(f"# {comment}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
 
 
 def _contents(model: LPVModel) -> dict[str, Any]:

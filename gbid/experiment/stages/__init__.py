@@ -4,6 +4,7 @@ from gbid.experiment.stages.characterising import load_made_static, run_static, 
 from gbid.experiment.stages.common import Engine, InTurn, Job, Made, Outcome, Reporter, Silent, Task
 from gbid.experiment.stages.crossvalidating import CrossvalRow, run_crossval
 from gbid.experiment.stages.fitting import fit_path, fit_tasks, load_made_fit, run_fits
+from gbid.experiment.stages.impacting import made_impacts, run_impacts
 from gbid.experiment.stages.nominating import choose_nominal
 from gbid.experiment.stages.pairing import drawn_pairs, pair_keys, residuals_of_pair, validate_pair
 from gbid.experiment.stages.performing import InputError, fail, perform, produce, run_tasks, standing
@@ -40,6 +41,7 @@ __all__ = [
     "import_tasks",
     "load_made_fit",
     "load_made_static",
+    "made_impacts",
     "made_surfaces",
     "make_rig_recordings",
     "map_tasks",
@@ -53,6 +55,7 @@ __all__ = [
     "rig_tasks",
     "run_crossval",
     "run_fits",
+    "run_impacts",
     "run_static",
     "run_tasks",
     "standing",

@@ -75,7 +75,7 @@ const Explorer = (() => {
     const cap = model.peak_sensitivity;
     if (found.peak.value > cap) {
       box.className = "verdict warn";
-      box.textContent += ` The peak is above ${cap}, the largest of the published design.`;
+      box.textContent += ` The peak is above ${cap}, the cap that tuning keeps by default.`;
     }
   }
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 _IDS = re.compile(r'(\bid="|href="#|url\(#)')
 _SIZE = re.compile(r'<svg\b[^>]*?viewBox="(?P<box>[^"]+)"[^>]*>')
 _LONG = re.compile(r"(-?\d+\.\d{2})\d+")
+_PATH = re.compile(r'\bd="[^"]*"')
 
 
 @dataclass(frozen=True)
@@ -61,15 +62,16 @@ class Pictures:
 
 
 def _embedded(text: str, prefix: str, alt: str) -> str:
-    """Leave the element alone, without what only a file needs; ids get a prefix, numbers two decimals."""
+    """Leave the element alone, without what only a file needs; ids get a prefix, paths two decimals."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     found = _SIZE.search(body)
     assert found is not None
     body = body[found.end() :]
-    body = _LONG.sub(r"\1", _IDS.sub(rf"\g<1>{prefix}", body.replace("xlink:href", "href")))
+    body = _IDS.sub(rf"\g<1>{prefix}", body.replace("xlink:href", "href"))
+    body = _PATH.sub(lambda path: _LONG.sub(r"\1", path[0]), body)
     body = re.sub(r"\n\s*", "\n", body)
     width, height = found["box"].split()[2:]
     # matplotlib measures in points of 1/72 inch, a page in pixels of 1/96
-    look = f'style="max-width:{float(width) * 4 / 3:.0f}px" class="picture"'
+    look = f'style="--natural:{float(width) * 4 / 3:.0f}px;max-width:var(--natural)" class="picture"'
     return f'<svg {look} viewBox="0 0 {width} {height}" role="img" aria-label="{escape(alt, quote=True)}">{body}'
