@@ -1,0 +1,115 @@
+"""What key parameters mean for the machine: delays, modes and static gains, and how surfaces reproduce them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.structure import KEY_PARAMETERS
+
+FloatArray = npt.NDArray[np.float64]
+
+CHARACTERISTICS = (
+    *("tau_x", "tau_y"),
+    *("omega_1", "omega_2", "zeta_1", "zeta_2"),
+    *("g_xx", "g_xy", "g_yx", "g_yy"),
+)
+"""Names in order: delays [s], natural frequencies [Hz], damping factors, static gains [m/m]."""
+
+UNITS = {"tau": "s", "omega": "Hz", "zeta": "1", "g": "m/m"}
+"""Unit by the name's first part."""
+
+PUBLISHED_RMS = {
+    "tau_x": 0.088e-3,
+    "tau_y": 0.041e-3,
+    "omega_1": 1.13,
+    "omega_2": 0.58,
+    "zeta_1": 0.0104,
+    "zeta_2": 0.0063,
+    "g_xx": 0.0031,
+    "g_xy": 0.0022,
+    "g_yx": 0.0027,
+    "g_yy": 0.0031,
+}
+"""Rms deviations that the paper gives for its 86 recordings (Sec. 4)."""
+
+PUBLISHED_LARGEST_GAIN = 0.016
+"""Largest deviation of a static gain in the paper [m/m] (Sec. 4)."""
+
+
+def characteristics(values: npt.ArrayLike) -> FloatArray:
+    """Delays, modes and static gains of key parameters.
+
+    Parameters
+    ----------
+    values : (n, 14) array
+        In the order of `gbid.structure.KEY_PARAMETERS`.
+
+    Returns
+    -------
+    (n, 10) array
+        In the order of `CHARACTERISTICS`. Modes by rising frequency; nan where there are not two oscillatory
+        ones.
+    """
+    values = np.atleast_2d(np.asarray(values, float))
+    column = {key: values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
+    K, D, B = (
+        np.stack([column[f"{letter}_{pair}"] for pair in ("xx", "xy", "yx", "yy")], axis=-1).reshape(-1, 2, 2)
+        for letter in "kdb"
+    )
+    A = np.zeros((len(values), 4, 4))
+    A[:, :2, 2:], A[:, 2:, :2], A[:, 2:, 2:] = np.eye(2), K, D
+    poles = np.linalg.eigvals(A)
+    modes = np.full((len(values), 4), np.nan)
+    for i, p in enumerate(poles):
+        upper = p[p.imag > 1e-9 * np.abs(p)]
+        if len(upper) == 2:
+            upper = upper[np.argsort(np.abs(upper))]
+            modes[i] = *(np.abs(upper) / (2 * np.pi)), *(-upper.real / np.abs(upper))
+    gains = -np.linalg.solve(K, B).reshape(-1, 4)
+    return np.column_stack([column["tau_x"], column["tau_y"], modes, gains])
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far recordings lie from the surfaces in one characteristic.
+
+    Attributes
+    ----------
+    name, unit : str
+    rms, largest : float
+        Of estimate minus surface.
+    recording : str
+        Where the largest is.
+    published_rms : float
+        The paper's, for its machine.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    largest: float
+    recording: str
+    published_rms: float
+
+
+def deviations(estimated: FloatArray, surface: FloatArray, recordings: tuple[str, ...]) -> tuple[Deviation, ...]:
+    """Compare characteristics, both (n, 10), by recording; rows without two modes do not count for the modes."""
+    rows = []
+    for j, name in enumerate(CHARACTERISTICS):
+        away = estimated[:, j] - surface[:, j]
+        known = np.flatnonzero(np.isfinite(away))
+        worst = known[int(np.argmax(np.abs(away[known])))] if len(known) else None
+        rows.append(
+            Deviation(
+                name,
+                UNITS[name.partition("_")[0]],
+                float(np.sqrt(np.mean(away[known] ** 2))) if len(known) else np.nan,
+                float(np.abs(away[worst])) if worst is not None else np.nan,
+                recordings[worst] if worst is not None else "",
+                PUBLISHED_RMS[name],
+            )
+        )
+    return tuple(rows)

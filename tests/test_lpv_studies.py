@@ -1,0 +1,59 @@
+"""Surfaces of whole campaigns on the rig: recovery of the truth, and the one-shot fit against the two-step one."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from study_rig import CAMPAIGN, PAPER, POINTS
+from test_lpv_direct import EXACT, FIXED, recorded
+
+import gbid
+from gbid.structure import KEY_PARAMETERS
+
+pytestmark = pytest.mark.slow
+
+
+def errors(fit):
+    """Errors at 1000 random operating points, and the same in standard deviations, (1000, 14)."""
+    rng = np.random.default_rng(0)
+    P, Omega = rng.uniform(3, 7, 1000), rng.uniform(0, 6000, 1000)
+    found, true = (model.key_parameters(P, Omega) for model in (fit.model, PAPER))
+    error = np.stack([found[key] - true[key] for key in KEY_PARAMETERS], axis=-1)
+    return error, error / np.sqrt(np.einsum("nii->ni", fit.uncertainty_at(P, Omega)))
+
+
+def held_out_percent(fit, results, recordings):
+    """Mean fit of the surfaces on recordings that they have not seen."""
+    rows = []
+    for recording in recordings:
+        point = recording.conditions["pressure_bar"], recording.conditions["speed_rpm"]
+        values = {**FIXED, **{key: float(v) for key, v in fit.model.key_parameters(*point).items()}}
+        model = gbid.structure.evaluate(EXACT, {**dict.fromkeys((q.name for q in EXACT.parameters), 0.0), **values})
+        own = results[0].model
+        model = replace(model, input_names=own.input_names, output_names=own.output_names)
+        rows.append(gbid.cross_validate(replace(results[0], model=model), recording).fit_percent)
+    return float(np.mean(rows))
+
+
+@pytest.mark.parametrize(("scatter", "noise"), [(0.0, 30e-9), (0.01, 30e-9), (0.01, 300e-9)])
+def test_campaign_recovers_the_truth(scatter, noise):
+    """86 short recordings; the structure has no error of its own, so all that is off is chance."""
+    rng = np.random.default_rng(7)
+    recordings = [
+        recorded(point, i, n=1000, scatter=scatter, noise=noise, rng=rng) for i, (point, _) in enumerate(CAMPAIGN)
+    ]
+    held_out = [recorded(p, 900 + i, n=1000, scatter=scatter, noise=noise, rng=rng) for i, p in enumerate(POINTS)]
+    fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED) for r in recordings]
+    two = gbid.fit_lpv(fits, [point for point, _ in CAMPAIGN], actuators=FIXED)
+    one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus="simulation", fixed=FIXED)
+    assert one.success
+    percent = {}
+    for name, fit in (("two", two), ("one", one)):
+        error, z = errors(fit)
+        share = (np.abs(z) < 3).mean(axis=0)
+        print(f"{name}: within 3 std {share.mean():.3f}, least of a parameter {share.min():.3f}, z {z.std():.2f}")
+        print("   rms over mean size:", np.sqrt(np.mean(error**2, axis=0)) / np.abs(two.surface).mean(axis=0))
+        assert share.mean() > 0.95
+        percent[name] = held_out_percent(fit, fits, held_out)
+    print("held out:", percent, [(d.name, d.rms, d.published_rms) for d in two.deviations])
+    assert percent["one"] > percent["two"] - 0.1
