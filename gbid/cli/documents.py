@@ -86,8 +86,8 @@ def campaign_document(
 def _fit_of_campaign(table: FitTable, name: str) -> dict[str, Any]:
     """How the fits of one name came out, and the worst of them."""
     rows = table.select(fit=name)
-    there = np.isfinite(rows.fit_percent).any(axis=1) if rows.output_names else np.zeros(len(rows), dtype=bool)
-    smallest = rows.fit_percent[there].min(axis=1)
+    there = np.isfinite(rows.fit_percent).any(axis=1)
+    smallest = rows.fit_percent[there].min(axis=1, initial=np.inf)
     worst = int(np.argmin(smallest)) if smallest.size else None
     return {
         "fit": name,
@@ -126,11 +126,14 @@ def static_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
 def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     """Describe impact studies; those that failed are left out."""
     paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
-    published = rig_model(job.experiment).reference_modes if job.experiment.spec.rig else ()
-    return [
-        impact_document(name, study, paths[name], published)
-        for name, study in made_impacts(job, list(outcomes)).items()
-    ]
+    section, rig = job.experiment.spec.impacts, job.experiment.spec.rig
+    if section is None or rig is None:
+        return []
+    loops = (
+        ("open", "closed") if section.controller == "paper" else ("open",)
+    )  # the paper's loop has the paper's controller
+    published = [modes for modes in rig_model(job.experiment).reference_modes if modes.loop in loops]
+    return [impact_document(name, study, paths[name], published) for name, study in made_impacts(outcomes).items()]
 
 
 def crossval_documents(rows: Sequence[CrossvalRow]) -> list[dict[str, Any]]:

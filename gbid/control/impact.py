@@ -40,7 +40,7 @@ class HalfSine:
     -----
     The paper does not give the mass. The default is that of the rig, `gbid.rig.Machine.moving_mass`: disc and shaft of
     Table 1 turn about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
-    default blow moves the disc by some 9 of the 25 um of clearance.
+    default blow moves the disc by some 8 of the 25 um of clearance.
     """
 
     peak_n: float = 12.0

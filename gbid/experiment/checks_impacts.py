@@ -20,12 +20,21 @@ def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]
     if section is None:
         return
     if experiment.spec.rig is None:
-        yield ("impacts",), "needs the section rig, which is hit; add one (for recordings of your own use gbid.fit_ringdown)"
+        yield (
+            ("impacts",),
+            "needs the section rig, which is hit; add one (for recordings of your own use gbid.fit_ringdown)",
+        )
         return
     if section.impact_s > LONGEST_BLOW * section.spacing_s:
-        yield ("impacts", "spacing_s"), f"{section.spacing_s:g} s is too short for blows of {section.impact_s:g} s; lengthen it"
+        yield (
+            ("impacts", "spacing_s"),
+            f"{section.spacing_s:g} s is too short for blows of {section.impact_s:g} s; lengthen it",
+        )
     elif section.impact_s < 4 * experiment.spec.rig.sample_time_s:
-        yield ("impacts", "impact_s"), f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it"
+        yield (
+            ("impacts", "impact_s"),
+            f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it",
+        )
     try:
         domain, name = rig_model(experiment).domain, rig_model(experiment).name
         for axis in section.axes:

@@ -45,7 +45,7 @@ class StructureOptions(Section):
 
     delay: Literal["pade", "exact"] | None = None
     pade_order: Count | None = None
-    disturbance_gain: Literal["full", "diagonal", "none"] | None = None
+    disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
 
 
 class PriorSection(Section):

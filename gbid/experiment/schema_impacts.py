@@ -20,8 +20,8 @@ class ImpactsSection(Section):
     """Hammer impacts with and without a controller (paper, Sec. 5.1); see `gbid.fit_ringdown`, `gbid.validate_impact`.
 
     `controller`: ``paper`` is the one in the rig's model file, ``tuned`` that of the tuning, else a controller file.
-    `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment; the
-    rig's own when left out. `repeats` is the number of blows in a recording, `spacing_s` the time between them.
+    `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment;
+    the rig's own when left out. `repeats` is the number of blows in a recording, `spacing_s` the time between them.
     """
 
     controller: Text = "paper"

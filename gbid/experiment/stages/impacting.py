@@ -1,7 +1,8 @@
-"""Stage of the impacts (paper, Sec. 5.1): hammer on the rig, open and closed loop, ring-downs, force scaling, tables."""
+"""Stage of the impacts (paper, Sec. 5.1): hammer on the rig, open and closed loop, ring-downs, force scaling."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -37,7 +38,7 @@ _ZEROING_S = 0.5
 
 
 def run_impacts(job: Job) -> list[Outcome]:
-    """Write ``impacts/<point>_<loop>.h5`` with the recordings they are made from, ``impacts/impacts.csv``, ``responses.csv``.
+    """Write ``impacts/<point>_<loop>.h5``, the recordings they are made from, ``impacts.csv`` and ``responses.csv``.
 
     Returns
     -------
@@ -60,7 +61,14 @@ def run_impacts(job: Job) -> list[Outcome]:
 def recording_tasks(job: Job) -> list[Task]:
     """List the recordings with impacts."""
     return [
-        Task("impact", name, job.path(RECORDINGS, name), recording_key(job.experiment, planned), _write_recording, (name,))
+        Task(
+            "impact",
+            name,
+            job.path(RECORDINGS, name),
+            recording_key(job.experiment, planned),
+            _write_recording,
+            (name,),
+        )
         for name, planned in planned_impacts(job.experiment).items()
     ]
 
@@ -75,7 +83,7 @@ def study_tasks(job: Job) -> list[Task]:
     return tasks
 
 
-def made_impacts(job: Job, outcomes: list[Outcome]) -> dict[str, ImpactStudy]:
+def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
     """Load the studies that are there, by name."""
     return {o.item: load_impacts(o.path) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
 
@@ -115,22 +123,23 @@ def _write_recording(job: Job, name: str, part: Path) -> None:
     experiment = job.experiment
     impact, section, rig = planned_impacts(experiment)[name], impacts_section(experiment), experiment.spec.rig
     assert rig is not None
-    machine, options = machine_at(experiment, impact.planned, rig_model(experiment)), record_options(experiment, impact.planned)
+    machine, options = (
+        machine_at(experiment, impact.planned, rig_model(experiment)),
+        record_options(experiment, impact.planned),
+    )
     running = None
     if impact.loop == "closed":
         sampled = _controller(experiment, impact).sampled
-        running = SampledController(
-            *(np.array(getattr(sampled, letter)) for letter in "ABCD"),
-            rig.sample_time_s,
-            offset=_zero(machine, options),
-            name=sampled.name,
-        )
+        matrices = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
+        A, B, C, D = matrices
+        zero = _zero(machine, options)
+        running = SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
     hammer = hammer_of(section, impact.axis, rig.sample_time_s)
     save_recording(record(machine, hammer, **options, controller=running), part, overwrite=True)
 
 
 def _zero(machine: Machine, options: dict[str, Any]) -> FloatArray:
-    """Position that the controller takes for zero: the mean of a still run just before, at the same angle of the shaft."""
+    """Position that the controller takes for zero: the mean of a still run just before, at the same shaft angle."""
     still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
     return np.asarray(still.signal("p").mean(axis=0))
 
@@ -143,8 +152,8 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
     study = study_impacts(
         recordings,
         expecting_model(experiment)[0],
-        controller and controller.continuous,
-        controller and controller.sampled,
+        None if controller is None else controller.continuous,
+        None if controller is None else controller.sampled,
         harmonics=section.harmonics,
         lags=section.lags,
     )

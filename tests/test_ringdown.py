@@ -1,0 +1,262 @@
+"""Two modes from ring-downs: known modes, other methods, coverage, and what a loop adds."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from scipy.optimize import curve_fit
+from scipy.stats import binom
+
+import gbid
+from gbid.control import find_blows
+from gbid.control.blows import pulse_forcing, pulses_of
+from gbid.control.coloured import autocovariance, sandwich
+from gbid.control.ringdown_basis import Scale, ring_data
+from gbid.control.ringdown_solve import RingProblem
+from gbid.errors import DataError, UsageError
+
+H = 2e-4
+K = np.array([[-6.4e5, 2.0e4], [-1.5e4, -6.9e5]])
+D = np.array([[-55.0, 6.0], [-9.0, -48.0]])
+POLES = np.linalg.eigvals(np.block([[np.zeros((2, 2)), np.eye(2)], [K, D]]))
+TRUE = np.array([v for p in sorted(POLES[POLES.imag > 0], key=abs) for v in (abs(p) / 2 / np.pi, -p.real / abs(p))])
+
+
+def half_sine(time: np.ndarray, start: float, peak: float = 10.0, length: float = 2e-3) -> np.ndarray:
+    since = time - start
+    return np.where((since > 0) & (since < length), peak * np.sin(np.pi * since / length), 0.0)
+
+
+@cache
+def motion(axis: int, starts: tuple[float, ...], n: int, peak: float) -> np.ndarray:
+    """Blows on a mass of 2 kg, in steps of a hundredth of a sample with scipy's exponential."""
+    fine, time = 100, H * np.arange(n)
+    A = np.block([[np.zeros((2, 2)), np.eye(2)], [K, D]])
+    step = expm(np.block([[A, np.eye(4)[:, [2 + axis]]], [np.zeros((1, 5))]]) * (H / fine))
+    F, G, whole = step[:4, :4], step[:4, 4], expm(A * H)
+    x, p = np.zeros(4), np.zeros((n, 2))
+    for k in range(n):
+        p[k] = x[:2]
+        if any(-H < time[k] - s < 2.2e-3 for s in starts):
+            for j in range(fine):
+                middle = np.array([time[k] + (j + 0.5) * H / fine])
+                x = F @ x + G * sum(float(half_sine(middle, s, peak)[0]) for s in starts) / 2.0
+        else:
+            x = whole @ x
+    return p
+
+
+def recording(
+    seed: int = 0,
+    axis: int = 0,
+    *,
+    starts: tuple[float, ...] = (0.1, 0.35037),
+    n: int = 3000,
+    noise: float = 30e-9,
+    noise_f: float = 0.02,
+    pole: float = 0.0,
+    rpm: float = 0.0,
+    peak: float = 10.0,
+) -> gbid.Recording:
+    """Blows, and a shaft that turns or not; noise white or not."""
+    time = H * np.arange(n)
+    random = np.random.default_rng([seed, axis])
+    w = random.standard_normal((n, 2))
+    for k in range(1, n):
+        w[k] = pole * w[k - 1] + np.sqrt(1 - pole**2) * w[k]
+    phi = rpm / 60 * 2 * np.pi * time + 0.3
+    turning = np.column_stack([3 * np.cos(phi + 1) + np.cos(4 * phi), 2 * np.sin(phi) - np.sin(3 * phi)]) * 1e-6
+    f = np.zeros((n, 2))
+    f[:, axis] = sum(half_sine(time, s, peak) for s in starts)
+    signals = {
+        "p": motion(axis, starts, n, peak) + [2e-6, -3e-6] + (turning if rpm else 0.0) + noise * w,
+        "f": f + noise_f * random.standard_normal((n, 2)),
+        "phi": np.mod(phi, 2 * np.pi)[:, None],
+    }
+    return gbid.Recording(signals, H, {"pressure_bar": 6.0, "speed_rpm": rpm}, f"hit_{'xy'[axis]}{seed}")
+
+
+def values(ring) -> np.ndarray:
+    return np.column_stack([ring.frequency_hz, ring.damping]).ravel()
+
+
+def test_known_modes_without_noise() -> None:
+    for rpm in (0.0, 2050.0):
+        found = gbid.fit_ringdown([recording(axis=a, noise=0.0, noise_f=0.0, rpm=rpm) for a in (0, 1)], harmonics=5)
+        np.testing.assert_allclose(values(found), TRUE, rtol=1e-7)
+        np.testing.assert_allclose(found.stiffness, K, rtol=1e-5, atol=1e-5 * 7e5)
+        np.testing.assert_allclose(found.damping_matrix, D, rtol=1e-5, atol=1e-5 * 55)
+        assert found.success
+        assert found.n_blows == 4
+        assert found.harmonics == (5 if rpm else 0)
+        assert not found.lag_rates.size
+
+
+def test_one_blow_tells_both_modes_where_they_are_coupled() -> None:
+    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)))
+    assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
+
+
+def test_against_scipy_on_the_same_samples() -> None:
+    """One recording and blow: an exponential fit with free amplitudes, by scipy, from the truth."""
+    rec = recording(axis=0, starts=(0.1,), n=2000)
+    blow = find_blows(rec.signal("f"), H)[0]
+    y = rec.signal("p")[blow.stop :]
+    time = H * np.arange(len(y))
+
+    def model(_, *c):
+        out = []
+        for channel in range(2):
+            total = np.full(len(time), c[4 + channel])
+            for mode in range(2):
+                f, z = c[2 * mode : 2 * mode + 2]
+                w = 2 * np.pi * f
+                a, b = c[6 + 4 * channel + 2 * mode : 8 + 4 * channel + 2 * mode]
+                w_d = w * np.sqrt(1 - z**2)
+                total = total + np.exp(-z * w * time) * (a * np.cos(w_d * time) + b * np.sin(w_d * time))
+            out.append(total)
+        return np.concatenate(out)
+
+    start = [*TRUE, 2.0, -3.0, *([1.0, 1.0] * 4)]
+    best, covariance = curve_fit(model, np.tile(time, 2), 1e6 * y.T.ravel(), start)
+    found = gbid.fit_ringdown(rec, lags=0)
+    # two poles and two shapes per blow are all that K, D and a state can give, but the offset is told before as well
+    spread = np.sqrt(np.diag(covariance)[:4])
+    assert (np.abs(values(found) - best[:4]) < 0.5 * spread).all()
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.35)
+
+
+@pytest.mark.parametrize("pole", [0.0, 0.8])
+def test_intervals_cover_the_truth(pole: float) -> None:
+    """95 % intervals over 24 seeds and four numbers, noise white and coloured."""
+    hits = total = 0
+    for seed in range(24):
+        group = [recording(seed, a, starts=(0.06,), n=1100, pole=pole) for a in (0, 1)]
+        found = gbid.fit_ringdown(group, lags=0)
+        low, high = found.interval(0.95).T
+        hits += int(((low < TRUE) & (high > TRUE)).sum())
+        total += 4
+    assert binom.cdf(hits, total, 0.95) > 1e-3  # the four of a seed are nearly independent
+    assert hits < total
+
+
+def test_slopes_against_differences() -> None:
+    rec = recording(axis=0, n=900, starts=(0.1,), rpm=2050.0)
+    blows = find_blows(rec.signal("f"), H)
+    data = ring_data(rec, "p", blows, pulses_of(rec.signal("f"), blows), 2, 0)
+    data = type(data)(data.name, 1e6 * data.position, data.used, data.pulses, data.segments, data.quiet)
+    scale = Scale(800.0, H)
+    theta = np.concatenate([-K.ravel() / 800**2, -D.ravel() / 800])
+    for i in range(8):
+        step = 1e-5 * np.eye(8)[i]
+        difference = (scale.free(theta + step, 400) - scale.free(theta - step, 400)) / 2e-5
+        np.testing.assert_allclose(scale.free_slopes(theta, 400)[i], difference, atol=1e-6)
+    problem, longer = RingProblem((data,), scale, (0,)).with_lags(theta, [900.0])
+    at = problem.at(longer)
+    gradient = at.slopes[0].reshape(-1, len(longer)).T @ at.residuals[0].ravel()
+    for i in range(len(longer)):  # Kaufman's slopes give the exact gradient of the squares
+        step = 1e-6 * np.eye(len(longer))[i]
+        difference = (problem.at(longer + step).squares - problem.at(longer - step).squares) / 4e-6
+        assert gradient[i] == pytest.approx(difference, rel=1e-3, abs=1e-4 * np.abs(gradient).max())
+
+
+def test_force_between_the_samples() -> None:
+    """A corner between samples does not spoil the impulse, as it does sums over the samples."""
+    time = H * np.arange(400)
+    for late in np.linspace(0, 0.95, 12):
+        f = np.column_stack([half_sine(time, (100 + late) * H), np.zeros(400)])
+        pulses = pulses_of(f, find_blows(f, H))
+        for rate in (0.0, 900.0):  # after the pulse a state with this rate
+            forced = pulse_forcing(np.array([[-rate]]), np.array([[1.0, 0.0]]), pulses, 400, H)[:, 0]
+            found = sum(np.exp(-rate * (399 - k) * H) * forced[k - 1] for k in range(1, 400))
+            fine = np.linspace(0, 2e-3, 20001)
+            end = 399 * H - (100 + late) * H
+            exact = np.trapezoid(10 * np.sin(np.pi * fine / 2e-3) * np.exp(-rate * (end - fine)), fine)
+            assert found == pytest.approx(exact, rel=5e-4)
+
+
+def test_blows_are_found() -> None:
+    time = H * np.arange(2000)
+    f = 0.05 * np.random.default_rng(1).standard_normal((2000, 2))
+    f[:, 1] += half_sine(time, 0.1) + half_sine(time, 0.2, 3.0, 1e-3) + half_sine(time, 0.205, 2.0, 1e-3)
+    first, second = find_blows(f, H)
+    assert abs(first.start - 500) <= 1
+    assert abs(first.stop - 510) <= 1
+    assert first.axis == second.axis == "y"
+    assert (first.pulses, second.pulses) == (1, 2)
+    assert first.peak_n == pytest.approx(10.0, abs=0.2)
+    assert second.stop >= 1030
+
+
+def test_residuals_that_remember() -> None:
+    """Variance of a mean of an autoregression: the known sum over all lags."""
+    random, pole = np.random.default_rng(3), 0.7
+    w = random.standard_normal((40000, 1))
+    for k in range(1, len(w)):
+        w[k] = pole * w[k - 1] + w[k]
+    memory = autocovariance([w], [np.ones(len(w), bool)], 100)
+    mean = sandwich([np.full((1000, 1, 1), 1e-3)], memory)[0, 0]
+    assert mean == pytest.approx(1 / (1 - pole) ** 2 / 1000, rel=0.1)
+
+
+def test_force_of_one_channel() -> None:
+    rec = recording(axis=1)
+    single = gbid.Recording({"p": rec.signal("p"), "force": rec.signal("f")[:, [1]]}, H, name="single")
+    both = gbid.fit_ringdown(rec, lags=0)
+    np.testing.assert_allclose(
+        values(gbid.fit_ringdown(single, force="force", axis="y", lags=0)), values(both), rtol=1e-6
+    )
+    with pytest.raises(DataError, match="say along which axis"):
+        gbid.fit_ringdown(single, force="force")
+
+
+def test_no_two_oscillations_is_a_status() -> None:
+    time = H * np.arange(3000)
+    f = np.column_stack([half_sine(time, 0.1), np.zeros(3000)])
+    since = np.maximum(time - 0.102, 0)
+    p = 1e-6 * np.column_stack([np.exp(-80 * since) - np.exp(-700 * since), np.exp(-50 * since) - np.exp(-900 * since)])
+    p += 1e-9 * np.random.default_rng(0).standard_normal(p.shape)
+    found = gbid.fit_ringdown(gbid.Recording({"p": p, "f": f}, H, name="slow"), lags=0)
+    assert not found.success
+    assert "no two oscillations" in found.status
+    assert np.isnan(found.frequency_hz).all()
+
+
+def test_double_hits_are_told() -> None:
+    found = gbid.fit_ringdown(recording(axis=0, starts=(0.1, 0.1065)), lags=0)
+    assert "1 double hit" in " ".join(found.notes)
+    assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda r: r.with_signals(f=0 * r.signal("f")), "no blow in the force"),
+        (lambda r: r.slice(505, 3000), "cut off by its end"),
+        (lambda r: r.slice(0, 520), "samples after the blow"),
+        (lambda r: gbid.Recording({"p": r.signal("p")[:, :1], "f": r.signal("f")}, H), "a ring-down needs two"),
+        (lambda r: gbid.Recording({"p": r.signal("p")}, H, name="bare"), "has no signal 'f'"),
+    ],
+)
+def test_bad_recordings(change, text: str) -> None:
+    with pytest.raises(DataError, match=text):
+        gbid.fit_ringdown(change(recording()))
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"lags": "many"}, "lags = 'many'"),
+        ({"harmonics": -1}, "harmonics = -1"),
+        ({"skip_s": -1.0}, "skip_s = -1.0 s"),
+        ({"start": [(120.0, 0.1)]}, "give two modes"),
+    ],
+)
+def test_bad_arguments(options, text: str) -> None:
+    with pytest.raises(UsageError, match=text):
+        gbid.fit_ringdown(recording(), **options)
+    with pytest.raises(UsageError, match="no recording given"):
+        gbid.fit_ringdown([])
