@@ -12,12 +12,15 @@ from gbid.cli.batch import batch
 from gbid.cli.check import check
 from gbid.cli.crossval import crossval
 from gbid.cli.exporting import export
+from gbid.cli.figures import figures
 from gbid.cli.fit import fit
 from gbid.cli.groups import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
 from gbid.cli.impact import impact
 from gbid.cli.importing import import_data
 from gbid.cli.lpv import lpv
 from gbid.cli.new import new
+from gbid.cli.report import report
+from gbid.cli.reproduce import reproduce
 from gbid.cli.rig import rig
 from gbid.cli.run import run
 from gbid.cli.schema import schema
@@ -91,6 +94,12 @@ app.command(
     rich_help_panel=CONTROL,
     epilog=examples("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
 )(impact)
+app.command("figures", rich_help_panel=REPORT, epilog=examples("gbid figures theisen2016.yaml --overwrite"))(figures)
+app.command(
+    "reproduce",
+    rich_help_panel=REPORT,
+    epilog=examples("gbid reproduce theisen2016.yaml", "gbid reproduce theisen2016.yaml --json > reproduction.json"),
+)(reproduce)
 app.command(
     "export",
     rich_help_panel=REPORT,
@@ -99,6 +108,11 @@ app.command(
         "gbid export theisen2016 --to csv --at 6 0   # a model at 6 bar and 0 rpm",
     ),
 )(export)
+app.command(
+    "report",
+    rich_help_panel=REPORT,
+    epilog=examples("gbid report rig1/experiment.yaml", "gbid report rig1/experiment.yaml --output report.html"),
+)(report)
 
 
 def main() -> None:

@@ -44,6 +44,7 @@ def run(
             run_impacts,
             run_static,
         )
+        from gbid.report.html import write_report
         from gbid.report.impact_tables import impact_tables
         from gbid.report.lpv_tables import lpv_documents, lpv_tables
         from gbid.report.stage import draw_figures
@@ -63,7 +64,8 @@ def run(
             surfaces = draw_surfaces(job)
             hit = run_impacts(job)
             drawn = draw_figures(job)
-        outcomes += [*collected, *made, *chosen, *surfaces, *hit, *drawn]
+            written = write_report(job)
+        outcomes += [*collected, *made, *chosen, *surfaces, *hit, *drawn, written]
         fits, validated = fit_documents(job, outcomes), crossval_documents(rows)
         filtered, summaries = prefilter_documents(outcomes), summary_documents(made)
         central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
@@ -85,6 +87,7 @@ def run(
                     "lpv": models,
                     "impacts": impacts,
                     "figures": figures,
+                    "report": None if written.state == "failed" else str(written.path),
                     "outcomes": outcome_rows(outcomes),
                 }
             )
@@ -106,4 +109,6 @@ def run(
             if impacts:
                 print_table(impact_tables(impacts))
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
+            if written.state != "failed":
+                typer.echo(f"report: {written.path}")
         finish(outcomes, rows)

@@ -3,7 +3,7 @@
 
 const Charts = (() => {
   const SVG = "http://www.w3.org/2000/svg";
-  const MARGIN = { left: 58, right: 14, top: 10, bottom: 42 };
+  const MARGIN = { left: 58, right: 20, top: 10, bottom: 42 };
 
   function node(parent, name, attributes = {}, text = null) {
     const made = document.createElementNS(SVG, name);
@@ -154,6 +154,7 @@ const Charts = (() => {
     if (!(reach > 0)) return;
     node(plane, "path", { d: `M${sx(0)} ${sy(0)}L${sx(-reach)} ${sy(reach * slope)}`, class: "ray" });
     const atTop = reach < -xAxis.min;
+    if (zeta < 0.1) return;
     const y = sy(reach * slope) + (atTop ? 12 : -4);
     node(svg, "text", { x: sx(-reach) + 3, y, "text-anchor": "start", class: "ray-name" }, String(zeta));
   }

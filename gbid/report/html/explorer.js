@@ -23,12 +23,13 @@ const Explorer = (() => {
 
   const logSpaced = (low, high, n) => Array.from({ length: n }, (_, i) => low * (high / low) ** (i / (n - 1)));
 
-  // Largest singular value of S_o over frequency: the best of the grid and of the modes' frequencies, then golden sections.
+  // Largest singular value of S_o over frequency: the best of rest, grid and modes' frequencies, then golden sections.
   function peak(s, grid, curve, modes) {
     const value = (f) => ExplorerMath.largestSingularValue(ExplorerMath.sensitivityAt(model, s, f));
-    const candidates = [...grid, ...modes.map((m) => m.frequency)];
-    const values = [...curve, ...modes.map((m) => value(m.frequency))];
+    const candidates = [0, ...grid, ...modes.map((m) => m.frequency)];
+    const values = [value(0), ...curve, ...modes.map((m) => value(m.frequency))];
     const at = candidates[values.indexOf(Math.max(...values))];
+    if (at === 0) return { value: values[0], frequency: 0 };
     let [low, high] = [at / 1.04, at * 1.04];
     const ratio = (Math.sqrt(5) - 1) / 2;
     for (let i = 0; i < 60; i++) {
@@ -84,7 +85,8 @@ const Explorer = (() => {
     body.replaceChildren();
     const row = (cells) => {
       const tr = document.createElement("tr");
-      for (const text of cells) tr.appendChild(Object.assign(document.createElement("td"), { textContent: text }));
+      cells.forEach((text, i) => tr.appendChild(Object.assign(document.createElement(i ? "td" : "th"), { textContent: text })));
+      tr.firstChild.scope = "row";
       body.appendChild(tr);
     };
     for (const m of found.modes.oscillatory) row(["oscillatory", fixed(m.frequency, 2), fixed(m.damping, 4), fixed(-m.re, 1)]);
@@ -94,13 +96,13 @@ const Explorer = (() => {
   function plots(s, found) {
     const hz = (values) => values.map((v) => v / (2 * Math.PI));
     const near = (list) => list.filter((m) => m.frequency < 400);
-    const realNear = found.modes.real.filter((p) => Math.abs(p) < 2 * Math.PI * 400);
+    const realNear = found.modes.real.filter((p) => Math.abs(p) < 2 * Math.PI * 150);
     const closed = near(found.modes.oscillatory);
     const open = near(found.open.oscillatory);
     Charts.draw(control("plane"), {
       title: `Poles: ${closed.map((m) => `${fixed(m.frequency, 1)} Hz with damping ${fixed(m.damping, 3)}`).join(", ")}`,
-      x: { label: "real part / 2π [Hz]", zero: true, atLeast: 12, atMost: -60 },
-      y: { label: "imaginary part / 2π [Hz]", atLeast: 160, min: 0 },
+      x: { label: "real part / 2π [Hz]", zero: true, atLeast: 12, atMost: -110 },
+      y: { label: "imaginary part / 2π [Hz]", atLeast: 160, min: -6 },
       rays: [0.02, 0.05, 0.1, 0.2, 0.3, 0.5, 0.7],
       height: 320,
       points: [

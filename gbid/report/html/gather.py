@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
 
+import numpy as np
+
 from gbid.control import ControllerDesign, load_controller
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.pairs import recordings_of
@@ -129,7 +131,9 @@ class Gathered:
     def recordings(self) -> list[FoundRecording]:
         """Excited recordings that are there."""
         there = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
-        return [_described(self.job, name) for name, q in self.experiment.recordings.items() if q.excited & (name in there)]
+        return [
+            _described(self.job, name) for name, q in self.experiment.recordings.items() if q.excited & (name in there)
+        ]
 
     @cached_property
     def prefiltered(self) -> list[Row]:
@@ -253,10 +257,8 @@ def _described(job: Job, name: str) -> FoundRecording:
 
 def _alike(recording: Recording) -> float | None:
     """Correlation of the two channels of r, or of u."""
-    import numpy as np
-
     for signal in ("r", "u"):
         values = recording.signals.get(signal)
         if values is not None and values.shape[1] == 2 and values.std(axis=0).min() > 0:
-            return float(np.corrcoef(values.T)[0, 1])
+            return float(np.asarray(np.corrcoef(values.T))[0, 1])
     return None

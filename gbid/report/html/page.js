@@ -8,10 +8,14 @@ function reportFault(text) {
 }
 
 window.addEventListener("error", (event) => reportFault(event.message));
+// On paper nothing can be opened.
+window.addEventListener("beforeprint", () => {
+  for (const fold of document.querySelectorAll("details")) fold.open = true;
+});
+
 window.addEventListener("unhandledrejection", (event) => reportFault(String(event.reason)));
 
 document.addEventListener("DOMContentLoaded", () => {
-  document.documentElement.classList.add("scripted");
   for (const part of [Fits, Explorer]) {
     try {
       part.start();

@@ -1,0 +1,157 @@
+"""Section on the fits: overview, worst and best, failures, and each one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+from typing import Any
+
+from gbid.report.html.gather import Found, FoundFit, Gathered
+from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Part, Section, Table, Words, fit_href, point_words
+from gbid.report.numbers import engineering, shown_unit
+from gbid.report.summary import summary_lines
+
+_NAMED = 5
+
+
+def fits_section(gathered: Gathered) -> Section:
+    """Sum up the fits and give each of them."""
+    title = "Fits"
+    if not gathered.experiment.spec.fits:
+        return Section("fits", title, [Words("This experiment asks for no fits.")])
+    blocks: list[Block] = []
+    lost = lost_fits(gathered)
+    if lost:
+        rows = [(Link(f.item, f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
+        blocks.append(
+            Table("Fits that are not there", ("fit", "state", "reason"), rows, left=("fit", "state", "reason"))
+        )
+    for name in gathered.experiment.spec.fits:
+        there = [q for q in gathered.fits if q.fit == name]
+        if there:
+            blocks += _overview(gathered, name, there)
+    blocks += _notes(gathered.fits)
+    data = fit_data(gathered)
+    if data["fits"]:
+        groups: dict[str, list[tuple[str, str]]] = {}
+        for key, document in data["fits"].items():
+            groups.setdefault(key.partition("/")[0], []).append((key, document["label"]))
+        blocks.append(Part("fit.html.j2", {"groups": groups, "data": data}))
+    return Section("fits", title, blocks)
+
+
+def lost_fits(gathered: Gathered) -> list[Found]:
+    """Fits that are asked for and not there."""
+    return [f for f in gathered.standings if f.stage == "fit" and f.state != "there"]
+
+
+def fit_data(gathered: Gathered) -> dict[str, Any]:
+    """Collect what the page's script shows of each fit."""
+    fits: dict[str, Any] = {}
+    for q in gathered.fits:
+        fits[f"{q.fit}/{q.model}"] = _document(gathered, q)
+    for f in lost_fits(gathered):
+        empty: dict[str, Any] = {"parameters": [], "modes": [], "gains": [], "facts": [], "traces": [], "no_trace": ""}
+        title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
+        fits[f.item] = {**empty, **title, "status": f"{f.state}: {f.text}"}
+    order = {name: i for i, name in enumerate(gathered.experiment.spec.fits)}
+    return {"fits": dict(sorted(fits.items(), key=lambda item: order[item[0].partition("/")[0]]))}
+
+
+def _smallest(q: FoundFit) -> float:
+    return float(q.result.fit_percent.min()) if q.result.fit_percent.size else float("nan")
+
+
+def _place(gathered: Gathered, q: FoundFit) -> str:
+    return point_words(gathered.experiment, q.result.recordings[0]) if q.point else "several"
+
+
+def _overview(gathered: Gathered, name: str, there: Sequence[FoundFit]) -> list[Block]:
+    outputs = there[0].result.model.output_names
+    focus = there[0].result.options.get("focus", "")
+    own = "one step ahead" if focus == "prediction" else focus
+    by_point: dict[str, list[FoundFit]] = {}
+    for q in there:
+        by_point.setdefault(_place(gathered, q), []).append(q)
+    rows: list[list[Cell]] = []
+    for point, fits in by_point.items():
+        worst = min(fits, key=_smallest)
+        medians = [f"{median(float(q.result.fit_percent[:, j].mean()) for q in fits):.2f}" for j in range(len(outputs))]
+        link = Link(f"{worst.model} ({_smallest(worst):.2f} %)", fit_href(name, worst.model))
+        rows.append([point, str(len(fits)), str(sum(q.result.success for q in fits)), *medians, link])
+    columns = ("operating point", "fits", "converged", *(f"{output} [%]" for output in outputs), "worst")
+    caption = f"{name}: median fit on its own recording ({own}), by operating point"
+    blocks: list[Block] = [Table(caption, columns, rows, left=("worst",))]
+    if len(there) > 2 * _NAMED:
+        ordered = sorted(there, key=_smallest)
+        for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
+            items = [
+                Link(f"{q.model}: {_smallest(q):.2f} % at {_place(gathered, q)}", fit_href(name, q.model))
+                for q in chosen
+            ]
+            blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
+    stuck = [q for q in there if not q.result.success]
+    if stuck:
+        blocks.append(Words(f"{name}, not converged: {len(stuck)} of {len(there)} fits", "bad"))
+        blocks.append(Listed([Link(f"{q.model}: {q.result.status}", fit_href(name, q.model)) for q in stuck]))
+    return blocks
+
+
+def _notes(fits: Sequence[FoundFit]) -> list[Block]:
+    """List the notes of the fits, each once, with the number of fits that carry it."""
+    carried: dict[str, list[FoundFit]] = {}
+    for q in fits:
+        for note in q.result.notes:
+            carried.setdefault(f"{q.fit}: {note}", []).append(q)
+    if not carried:
+        return []
+    items = [
+        Link(f"{text} ({len(there)} {'fit' if len(there) == 1 else 'fits'})", fit_href(there[0].fit, there[0].model))
+        for text, there in sorted(carried.items(), key=lambda item: -len(item[1]))
+    ]
+    return [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])]
+
+
+def _document(gathered: Gathered, q: FoundFit) -> dict[str, Any]:
+    document, names = q.document, ", ".join(q.result.recordings)
+    place = _place(gathered, q)
+    state = "bad" if not q.result.success else "warn" if q.result.notes else "good"
+    return {
+        "title": f"{q.fit}, {q.model}: {place}" + (f" ({names})" if names != q.model else ""),
+        "label": f"{place}: {q.model} ({_smallest(q):.2f} %)",
+        "state": state,
+        "status": _status(q),
+        "parameters": [_parameter(row) for row in document["parameters"]],
+        "modes": [
+            [
+                str(row["mode"]),
+                *_pair(row["frequency_hz"], row["frequency_std_hz"]),
+                *_pair(row["damping"], row["damping_std"]),
+            ]
+            for row in document["modes"]
+        ],
+        "gains": [
+            [f"{row['output']} from {row['input']}", *_pair(row["gain"], row["std"])] for row in document["static_gain"]
+        ],
+        "facts": [list(line) for line in summary_lines(document)],
+        "traces": list(q.traces),
+        "no_trace": q.no_trace,
+    }
+
+
+def _status(q: FoundFit) -> str:
+    if not q.result.success:
+        return q.result.status[:1].upper() + q.result.status[1:]
+    return "Converged, with notes below." if q.result.notes else "Converged."
+
+
+def _parameter(row: dict[str, Any]) -> list[str]:
+    factor, unit = shown_unit(row["unit"])
+    estimate, std = _pair(factor * row["estimate"], None if row["std"] is None else factor * row["std"])
+    truth = "–" if row["truth"] is None else engineering(factor * row["truth"])
+    off = "–" if row["deviation_std"] is None else f"{row['deviation_std']:+.1f}".replace("-", "−")
+    return [row["parameter"], estimate, "fixed" if row["fixed"] else std, unit or "–", truth, off]
+
+
+def _pair(value: float, std: float | None) -> tuple[str, str]:
+    return engineering(value), "–" if std is None else engineering(std, 2)

@@ -1,0 +1,84 @@
+"""Section on the impacts: what the blows of a hammer say of the modes, beside the model and the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from gbid.control.impact_store import load_impacts
+from gbid.control.impact_study import ImpactStudy
+from gbid.errors import UsageError
+from gbid.experiment.stages import standing
+from gbid.experiment.stages.impacting import study_tasks
+from gbid.report.canvas import at_point
+from gbid.report.html.gather import Gathered
+from gbid.report.html.page import Block, Section, Table, Words
+from gbid.report.impact_tables import impact_document
+
+TITLE = "Impacts"
+_QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
+
+
+def impacts_section(gathered: Gathered) -> Section | None:
+    """Show the impact studies; None when the experiment asks for none."""
+    section = gathered.experiment.spec.impacts
+    if section is None:
+        return None
+    studies, blocks = _studies(gathered)
+    came = gathered.rig.reference_modes if gathered.rig is not None else ()
+    published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
+    modes: list[list[str]] = []
+    responses: list[list[str]] = []
+    for name, study in studies.items():
+        document = impact_document(name, study, gathered.experiment.results, published)
+        where = f"{at_point(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
+        paper = document["published"].get("measured")
+        modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
+        for row in document["responses"]:
+            scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
+            responses.append([row["recording"], where, str(row["blows"]), scale, f"{row['fit_along [%]']:.1f}"])
+        blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
+        if not document["success"]:
+            blocks.append(Words(f"{where}: {document['status']}", "bad"))
+    if modes:
+        heads = [
+            f"{word} {what}{unit}"
+            for what, unit, _ in _QUANTITIES
+            for word in ("expected", "as it runs", "from blows", "paper's")
+        ]
+        caption = "Modes expected from the model, expected of the sampled loop, and obtained from the blows"
+        blocks.insert(0, Table(caption, ("where", *heads), modes))
+    if responses:
+        columns = ("recording", "where", "blows", "force scale [1/kg]", "fit along the blow [%]")
+        blocks.append(Table("Measured against simulated responses", columns, responses, left=("where",)))
+    return Section("impacts", TITLE, blocks)
+
+
+def _studies(gathered: Gathered) -> tuple[dict[str, ImpactStudy], list[Block]]:
+    """Load the studies that are there, and say of the others why they are not."""
+    studies: dict[str, ImpactStudy] = {}
+    blocks: list[Block] = []
+    try:
+        for task in study_tasks(gathered.job):
+            outcome = standing(gathered.job, task)
+            if outcome is not None and outcome.state != "failed":
+                studies[task.item] = load_impacts(task.path)
+            else:
+                text = "not made yet; `gbid impact` makes it" if outcome is None else outcome.text
+                blocks.append(Words(f"{task.item}: {text}", "warn"))
+    except UsageError as error:
+        blocks.append(Words(str(error), "warn"))
+    return studies, blocks
+
+
+def _mode(where: str, row: Mapping[str, Any], paper: Any) -> list[str]:
+    cells = [f"{where}, mode {row['mode']}"]
+    for column, (what, unit, form) in enumerate(_QUANTITIES):
+        known = [row.get(f"{word}_{what}{unit}") for word in ("expected", "running", "obtained", "obtained")]
+        std = row.get(f"obtained_{what}_std{unit}")
+        texts = ["–" if value is None or value != value else format(value, form) for value in known]
+        if std is not None and std == std:
+            texts[2] = f"{known[2]:{form}} ± {std:.1g}"
+        texts[3] = "–" if paper is None else format(paper[column], form)
+        cells += texts
+    return cells

@@ -1,0 +1,116 @@
+"""What a page is made of: sections of words, tables and pictures. Templates turn them into HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, ClassVar
+
+from gbid.experiment.load import Experiment
+from gbid.report.canvas import at_point
+from gbid.report.html.pictures import Picture
+
+
+@dataclass(frozen=True)
+class Link:
+    """A cell or an item of a list that leads somewhere in the page."""
+
+    text: str
+    href: str
+
+
+Cell = str | Link
+
+
+@dataclass(frozen=True)
+class Words:
+    """A paragraph; the tone is "", "good", "warn" or "bad"."""
+
+    text: str
+    tone: str = ""
+    kind: ClassVar[str] = "words"
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A list."""
+
+    items: Sequence[Cell]
+    kind: ClassVar[str] = "list"
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table; the first cell of a row is its name. Columns named in `left` are set to the left, others are numbers."""
+
+    caption: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[Cell]]
+    left: Sequence[str] = ()
+    kind: ClassVar[str] = "table"
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A picture."""
+
+    picture: Picture
+    kind: ClassVar[str] = "picture"
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """Blocks beside each other where there is room."""
+
+    blocks: Sequence[Any]
+    kind: ClassVar[str] = "gallery"
+
+
+@dataclass(frozen=True)
+class Fold:
+    """Blocks that are shown when asked for; in print they are open."""
+
+    title: str
+    blocks: Sequence[Any]
+    kind: ClassVar[str] = "fold"
+
+
+@dataclass(frozen=True)
+class Part:
+    """A template of its own, with what it needs."""
+
+    template: str
+    values: dict[str, Any] = field(default_factory=dict)
+    kind: ClassVar[str] = "part"
+
+
+Block = Words | Listed | Table | Shown | Gallery | Fold | Part
+
+
+@dataclass(frozen=True)
+class Section:
+    """A section of the page."""
+
+    id: str
+    title: str
+    blocks: Sequence[Block]
+
+
+def point_words(experiment: Experiment, recording: str) -> str:
+    """Operating point of a recording in words."""
+    planned = experiment.recordings[recording]
+    known = planned.conditions
+    if "pressure_bar" in known and "speed_rpm" in known:
+        return at_point(known["pressure_bar"], known["speed_rpm"])
+    return ", ".join(f"{key} {value:g}" for key, value in known.items()) or "not stated"
+
+
+def fit_href(name: str, model: str) -> str:
+    """Address of a fit in the page."""
+    return f"#fit&{name}%2F{model}"
+
+
+def in_units(value: float, unit: str) -> str:
+    """Write a value with three digits, lengths in micrometres."""
+    factor, shown = (1e6, "µm") if unit == "m" else (1.0, unit)
+    return f"{factor * value:.3g} {shown}".rstrip()

@@ -1,0 +1,93 @@
+"""Section on the data: excitation, what is wrong with them, what the prefilter took out."""
+
+from __future__ import annotations
+
+from gbid.report.html.gather import Gathered
+from gbid.report.html.page import Block, Fold, Listed, Section, Table, Words, in_units, point_words
+
+ALIKE = 0.5
+"""Correlation of the two excitations above which their effects are hard to tell apart."""
+WORSE = 1e-3
+"""Share of the variance by which a run-out map may enlarge the position without being named."""
+_NANO = 1e9
+
+
+def quality_section(gathered: Gathered) -> Section:
+    """Describe the recordings, their problems, and what the prefilter took out of them."""
+    blocks: list[Block] = []
+    recordings = gathered.recordings
+    if not recordings:
+        blocks.append(Words("No excited recording is there yet."))
+        return Section("data", "Data quality", blocks)
+    problems = [text for q in recordings for text in q.problems]
+    if problems:
+        blocks += [Words(f"{len(problems)} problems found in {len(recordings)} recordings:", "bad"), Listed(problems)]
+    else:
+        text = f"{len(recordings)} excited recordings looked at: no dead, saturated or swapped channel, no rub."
+        blocks.append(Words(text, "good"))
+    alike = [q for q in recordings if q.alike is not None and abs(q.alike) > ALIKE]
+    for q in alike:
+        blocks.append(Words(f"{q.name}: the excitations of x and y are correlated ({q.alike:+.2f})", "warn"))
+    rows = []
+    for q in recordings:
+        spread = [
+            ", ".join(f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals[signal])
+            if signal in q.signals
+            else "–"
+            for signal in _signals(gathered)
+        ]
+        alike_text = "–" if q.alike is None else f"{q.alike:+.3f}"
+        length = f"{q.duration:g} s, {q.n_samples}"
+        rows.append((q.name, point_words(gathered.experiment, q.name), length, *spread, alike_text))
+    headings = [f"{name}, rms" for name in _signals(gathered)]
+    table = Table(
+        "Excited recordings: rms about the mean of each channel, correlation of the two excitations",
+        ("recording", "operating point", "length, samples", *headings, "correlation x, y"),
+        rows,
+        left=("operating point", "length, samples", *headings),
+    )
+    blocks.append(Fold(f"Excitation of {len(rows)} recordings", [table]) if len(rows) > 12 else table)
+    blocks += _prefilter(gathered)
+    return Section("data", "Data quality", blocks)
+
+
+def _signals(gathered: Gathered) -> list[str]:
+    return list(dict.fromkeys(signal for q in gathered.recordings for signal in q.signals))
+
+
+def _prefilter(gathered: Gathered) -> list[Block]:
+    section = gathered.experiment.spec.prefilter
+    if section is None:
+        return [Words("No prefilter: the recordings were fitted as they are.")]
+    rows = gathered.prefiltered
+    if not rows:
+        return [Words("The prefilter has not run yet.", "warn")]
+    worse = [row for row in rows if row["runout_share"] < -WORSE]
+    median = "none" if section.median == 1 else f"{section.median} samples"
+    words = f"Run-out map: {section.method}; median: {median}; mean {'removed' if section.remove_mean else 'kept'}."
+    table = Table(
+        "What the prefilter took out of the disc position",
+        ("recording", "channel", "rms before [nm]", "rms after [nm]", "offset [nm]", "run-out share [%]", "spikes"),
+        [
+            (
+                row["recording"],
+                row["channel"],
+                f"{_NANO * row['rms_before']:.1f}",
+                f"{_NANO * row['rms_after']:.1f}",
+                f"{_NANO * row['offset']:.2f}",
+                f"{100 * row['runout_share']:.2f}",
+                str(row["spikes"]),
+            )
+            for row in rows
+        ],
+        left=("channel",),
+    )
+    blocks: list[Block] = [Words(words)]
+    if worse:
+        names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
+        blocks.append(Words(f"The run-out map made the position larger in {names}: it may not belong to them.", "warn"))
+    notes = list(dict.fromkeys(note for row in rows for note in row["notes"]))
+    if notes:
+        blocks.append(Listed(notes))
+    blocks.append(Fold(f"Prefilter, {len(rows)} channels", [table]) if len(rows) > 12 else table)
+    return blocks

@@ -1,0 +1,67 @@
+"""Put sections, styles and scripts into one HTML text that needs nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from gbid._version import __version__
+from gbid.report.html.page import Section
+
+SCRIPTS = ("charts.js", "explorer_math.js", "explorer.js", "fits.js", "page.js")
+
+
+def render(title: str, name: str, sections: Sequence[Section], left_out: Sequence[str], key: str) -> str:
+    """Write the page.
+
+    Parameters
+    ----------
+    title, name : str
+        Of the experiment.
+    sections : sequence of Section
+    left_out : sequence of str
+        What this experiment does not do.
+    key : str
+        Content key, kept as a comment.
+
+    Returns
+    -------
+    str
+    """
+    loader = FunctionLoader(_read)
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["embedded"] = _embedded
+    page = environment.get_template("report.html.j2")
+    return page.render(
+        title=title or name,
+        name=name,
+        sections=sections,
+        left_out=left_out,
+        key=key,
+        version=__version__,
+        style=Markup(_read("style.css")),
+        scripts=[Markup(_script(script)) for script in SCRIPTS],
+    )
+
+
+def _read(name: str) -> str:
+    return files(__package__).joinpath(name).read_text(encoding="utf-8")
+
+
+def _script(name: str) -> str:
+    """Read a script, without the lines that are for programs outside of the page."""
+    lines = _read(name).splitlines()
+    return "\n".join(line for line in lines if line != '"use strict";' and not line.startswith("if (typeof module"))
+
+
+def _embedded(value: Any) -> Markup:
+    """Write data into a script element; no text in it can end the element."""
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return Markup(text.replace("<", "\\u003c"))

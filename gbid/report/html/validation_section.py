@@ -1,0 +1,164 @@
+"""Sections on the cross-validation and the nominal actuator."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from gbid.experiment.stages import CrossvalRow
+from gbid.report.across import ActuatorParameters, histogram_data, plot_actuator_parameters, plot_fit_histogram
+from gbid.report.canvas import at_point
+from gbid.report.html.gather import Gathered
+from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Section, Shown, Table, Words, fit_href, in_units
+from gbid.report.html.pictures import Pictures
+from gbid.validate import NominalActuator, ValidationSummary
+
+PAPER = {
+    "rotor_bearing": {"p_x": "81.1 ± 2.7", "p_y": "85.1 ± 3.4"},
+    "piezo_pair": {"u_x": "98.34 ± 0.07", "u_y": "99.42 ± 0.06"},
+}
+"""Fit percent that the paper gives for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by structure and output."""
+_HISTOGRAM = 6  # pairs from which a histogram says more than a table
+_LISTED = 40
+
+
+def validation_section(gathered: Gathered, pictures: Pictures) -> Section:
+    """Show how models explain recordings that they were not fitted to."""
+    asked = gathered.experiment.spec.crossval
+    if not asked:
+        return Section("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
+    blocks: list[Block] = []
+    for name in asked:
+        if name not in gathered.crossval:
+            blocks.append(Words(f"{name}: not validated with the present fits; `gbid crossval` does it.", "warn"))
+            continue
+        rows, summary = gathered.crossval[name]
+        blocks += _validated(gathered, pictures, name, rows, summary)
+    return Section("validation", "Cross-validation", blocks)
+
+
+def _validated(
+    gathered: Gathered, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
+) -> list[Block]:
+    paper = PAPER.get(gathered.experiment.spec.fits[name].structure, {}) if gathered.published else {}
+    table: list[list[Cell]] = []
+    for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
+        poor = next(pair for pair in summary.worst if pair.output == output)
+        spread = "–" if np.isnan(summary.std[j]) else f"{summary.std[j]:.2g}"
+        table.append(
+            [
+                output,
+                f"{summary.mean[j]:.2f} ± {spread}",
+                *([paper.get(output, "–")] if paper else []),
+                f"{summary.least[j]:.2f}",
+                in_units(summary.infinity_norm_max[j], unit),
+                Link(f"model of {poor.model} on {poor.recording}", fit_href(name, poor.model)),
+            ]
+        )
+    columns = [
+        "output",
+        "fit, mean ± std [%]",
+        *(["paper [%]"] if paper else []),
+        "least [%]",
+        "largest error",
+        "worst pair",
+    ]
+    words = (
+        f"{name}: {summary.n_models} models on {summary.n_recordings} recordings, {summary.n_pairs} pairs, simulated"
+    )
+    blocks: list[Block] = [Table(words, columns, table, left=("worst pair",))]
+    if paper:
+        words = (
+            "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
+        )
+        blocks.append(Words(words))
+    if summary.n_pairs >= _HISTOGRAM:
+        values = {output: [row.fit_percent for row in rows if row.output == output] for output in summary.output_names}
+        told = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
+        picture = pictures.picture(
+            plot_fit_histogram(histogram_data(values)), f"{name}: histograms of the cross-validation fit, means {told}"
+        )
+        blocks.append(Shown(picture))
+    missed = [row for row in rows if row.missed]
+    if missed:
+        text = f"{name}: {len(missed)} of {len(rows)} stay below the {missed[0].minimum_percent:g} % asked for."
+        blocks.append(Words(text, "bad"))
+    worst = sorted(rows, key=lambda row: row.fit_percent)[:_LISTED]
+    whole = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
+    pairs = Table(
+        f"{name}, {whole}",
+        ("model of", "on", "output", "fit [%]", "largest error", "residuals"),
+        [
+            (
+                Link(row.model, fit_href(name, row.model)),
+                row.recording,
+                row.output,
+                f"{row.fit_percent:.2f}",
+                in_units(row.infinity_norm, row.unit),
+                {None: "not tested", True: "white", False: "not white"}[row.residuals_white]
+                + (f", follow {' '.join(row.residuals_follow)}" if row.residuals_follow else ""),
+            )
+            for row in worst
+        ],
+        left=("on", "output", "residuals"),
+    )
+    blocks.append(Fold(f"{name}: {whole}", [pairs]))
+    if len(summary.points) > 1:
+        points = Table(
+            f"{name}, by operating point",
+            ("operating point", "pairs", *(f"{output} [%]" for output in summary.output_names)),
+            [
+                (
+                    at_point(point.pressure_bar, point.speed_rpm) if point.pressure_bar == point.pressure_bar else "–",
+                    str(point.n_pairs),
+                    *(f"{mean:.2f}" for mean in point.mean),
+                )
+                for point in summary.points
+            ],
+        )
+        blocks.append(Fold(f"{name}: by operating point", [points]))
+    return blocks
+
+
+def nominal_section(gathered: Gathered, pictures: Pictures) -> Section | None:
+    """Show the nominal actuator; None when nobody asked for one."""
+    nominal = gathered.nominal
+    if nominal is None:
+        return None
+    title = "Nominal actuator"
+    if not isinstance(nominal, NominalActuator):
+        return Section("actuator", title, [Words(f"There is none: {nominal}", "warn")])
+    fit = gathered.experiment.spec.nominal.fit if gathered.experiment.spec.nominal else ""
+    names = nominal.parameter_names
+    z = np.abs(nominal.z) > nominal.limit
+    data = ActuatorParameters(
+        {name: nominal.values[:, i] for i, name in enumerate(names)},
+        {name: z[:, i] for i, name in enumerate(names)},
+        nominal.models.index(nominal.name),
+    )
+    alt = (
+        f"Gains and poles of {len(nominal.models)} actuator models; the nominal one is {nominal.name}, "
+        f"{len(nominal.outliers)} values lie off"
+    )
+    table = Table(
+        "Parameters of the nominal actuator",
+        ("parameter", "value", "std", "median of all"),
+        [
+            (
+                name,
+                f"{nominal.parameters[name]:.5g}",
+                f"{nominal.std[name]:.2g}",
+                f"{np.median(nominal.values[:, i]):.5g}",
+            )
+            for i, name in enumerate(names)
+        ],
+    )
+    chosen = Link(f"{nominal.name}, the most central of {len(nominal.models)} models", fit_href(fit, nominal.name))
+    blocks: list[Block] = [Listed([chosen]), table, Shown(pictures.picture(plot_actuator_parameters(data), alt))]
+    if nominal.outliers:
+        listed = [Link(f"{o.model}: {o.reason}", fit_href(fit, o.model)) for o in nominal.outliers]
+        blocks += [Words(f"{len(listed)} values lie off those of the others:", "warn"), Listed(listed)]
+    if nominal.left_out:
+        blocks += [Words("Left out:"), Listed(nominal.left_out)]
+    return Section("actuator", title, blocks)

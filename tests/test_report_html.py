@@ -1,0 +1,364 @@
+"""The report: one file, everything in it, and an explorer that computes what the library computes."""
+
+import base64
+import html
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner
+
+from gbid.campaign.run import run_campaign
+from gbid.cli.main import app
+from gbid.control import HalfSine, close_loop, impact_response, p_controller, sensitivities
+from gbid.errors import UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import Job, choose_nominal, draw_surfaces, run_crossval, validate_pair
+from gbid.report.html import write_report
+from gbid.report.html.controller_section import loop_model
+from gbid.report.html.explorer import explorer_model
+from gbid.report.html.fits_section import fit_data
+from gbid.report.html.gather import Gathered
+from gbid.report.html.summary_section import warnings
+from gbid.report.html.traces import packed, trace
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+needs_chromium = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium here; on Debian `apt-get install chromium` brings one"
+)
+ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000")
+
+CAMPAIGN = """
+format: 1
+name: small
+title: "Four points <script>alert(1)</script>"
+rig:
+  model: theisen2016
+  seed: 1
+  operating_points:
+    - {pressure_bar: 3.0, speed_rpm: 0}
+    - {pressure_bar: 3.0, speed_rpm: 6000}
+    - {pressure_bar: 7.0, speed_rpm: 0}
+    - {pressure_bar: 7.0, speed_rpm: 6000}
+  duration_s: 1.0
+  prbs: {recordings: 1, amplitude_m: 4.5e-6, hold_s: 20e-3}
+  stationary: {recordings: 1, duration_s: 0.5}
+  sensors: {noise_p_m: 100e-9, noise_u_m: 10e-9}
+prefilter: {method: harmonics, harmonics: 5, median: 3}
+fits:
+  bearing: {structure: rotor_bearing}
+  piezos: {structure: piezo_pair}
+crossval:
+  piezos: {on: others, minimum_percent: 99.9}
+nominal: {fit: piezos}
+lpv: {fit: bearing, order: 1, actuators: nominal}
+"""
+
+
+@pytest.fixture(scope="module")
+def job(tmp_path_factory):
+    """A campaign with everything but a controller of its own."""
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "small.yaml").write_text(CAMPAIGN, encoding="utf-8")
+    job = Job(load_experiment(folder / "small.yaml"))
+    run_campaign(job)
+    run_crossval(job)
+    choose_nominal(job)
+    draw_surfaces(job)
+    write_report(job)
+    return job
+
+
+@pytest.fixture(scope="module")
+def page(job):
+    return (job.experiment.results / "report.html").read_text(encoding="utf-8")
+
+
+class Outline(HTMLParser):
+    """Elements with their attributes, and the text of headings."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.elements, self.headings, self._open = [], [], None
+        self.feed(text)
+
+    def handle_starttag(self, tag, attributes):
+        self.elements.append((tag, dict(attributes)))
+        if re.fullmatch("h[1-6]", tag):
+            self.headings.append([tag, ""])
+            self._open = tag
+
+    def handle_endtag(self, tag):
+        self._open = None if tag == self._open else self._open
+
+    def handle_data(self, data):
+        if self._open:
+            self.headings[-1][1] += data
+
+    def of(self, *tags):
+        return [attributes for tag, attributes in self.elements if tag in tags]
+
+
+def embedded(page, name):
+    found = re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', page, re.DOTALL)
+    return json.loads(found[1])
+
+
+def dom(path, fragment="", *arguments):
+    """Load a page in Chromium and return what became of it."""
+    command = [CHROMIUM, *ARGUMENTS, *arguments, "--dump-dom", f"{path.as_uri()}{fragment}"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return done.stdout
+
+
+def test_page_needs_nothing_from_outside(page):
+    outside = [url for url in re.findall(r"https?://[^\s\"'<>)]+", page) if not url.startswith("http://www.w3.org/")]
+    assert outside == []
+    outline = Outline(page)
+    assert [a["src"] for a in outline.of("script", "img", "iframe") if "src" in a] == []
+    assert {a["href"] for a in outline.of("link")} == {"data:,"}
+    assert "@import" not in page
+    assert not re.search(r"url\((?!#)", page)
+    assert "fetch(" not in page
+    assert "XMLHttpRequest" not in page
+
+
+def test_page_of_86_recordings_stays_below_ten_megabytes(page, job):
+    fits = embedded(page, "fit-data")["fits"]
+    # five-second recordings show as many points as these do; only the range of the error has a few more
+    each = max(len(json.dumps(fit)) for fit in fits.values()) * 1.5
+    rest = len(page) - sum(len(json.dumps(fit)) for fit in fits.values())
+    assert rest + 2 * 86 * each + 86 * 2000 < 10e6
+    assert len(page) < 2.5e6
+
+
+def test_headings_links_and_ids_hang_together(page):
+    outline = Outline(page)
+    levels = [int(tag[1]) for tag, _ in outline.headings]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+    titles = [text for tag, text in outline.headings if tag == "h2"]
+    expected = ["At a glance", "Data quality", "Fits", "Cross-validation", "Nominal actuator"]
+    assert titles[:5] == expected
+    assert titles[5:] == ["Surfaces over pressure and speed", "Controller", "What was not done in this experiment"]
+    ids = [a["id"] for _, a in outline.elements if "id" in a]
+    assert len(ids) == len(set(ids))
+    named = embedded(page, "fit-data")["fits"]
+    for a in outline.of("a"):
+        place, _, fit = a["href"].removeprefix("#").partition("&")
+        assert a["href"].startswith("#")
+        assert place in ids
+        assert not fit or fit.replace("%2F", "/") in named
+
+
+def test_everything_has_words_for_those_who_do_not_see_it(page):
+    outline = Outline(page)
+    labelled = {a.get("for") for a in outline.of("label")}
+    for a in outline.of("input", "select"):
+        assert a.get("id") in labelled or a.get("aria-label")
+    pictures = [a for a in outline.of("svg") if "picture" in a.get("class", "")]
+    assert len(pictures) >= 8
+    assert all(a["role"] == "img" and len(a["aria-label"]) > 20 for a in pictures)
+    assert all(a.get("tabindex", "0") == "0" for _, a in outline.elements)
+    assert not any("onclick" in a for _, a in outline.elements)
+    assert {a["name"] for a in outline.of("meta") if "name" in a} >= {"viewport"}
+
+
+def test_text_of_the_experiment_stays_text(page):
+    assert "<script>alert" not in page
+    assert "&lt;script&gt;alert(1)&lt;/script&gt;" in page
+
+
+def test_every_fit_can_be_reached_and_shows_what_the_library_computes(page, job):
+    fits = embedded(page, "fit-data")["fits"]
+    wanted = {f"{fit}/{q.name}" for fit in ("bearing", "piezos") for q in job.experiment.fit_recordings(fit)}
+    assert len(wanted) == 8
+    options = {a["value"] for a in Outline(page).of("option") if "/" in a["value"]}
+    assert options == set(fits) == wanted
+    name = "p7_n6000_prbs1"
+    validation = validate_pair(job, "bearing", name, name)
+    (shown,) = fits[f"bearing/{name}"]["traces"]
+    first = round(shown["start"] / 2e-4)
+    every = round(shown["step"] / 2e-4)
+    for i, output in enumerate(shown["outputs"]):
+        for word, values in (("measured", validation.measured), ("simulated", validation.simulated)):
+            raw = np.frombuffer(base64.b64decode(output[word]["values"]), "<i2") * output[word]["scale"]
+            expected = 1e6 * values[first::every, i][: len(raw)]
+            assert np.abs(raw - expected).max() <= output[word]["scale"] / 2 * (1 + 1e-9)
+    gathered = Gathered(job)
+    result = next(q.result for q in gathered.fits if (q.fit, q.model) == ("bearing", name))
+    rows = {row[0]: row for row in fits[f"bearing/{name}"]["parameters"]}
+    assert float(rows["k_xx"][1]) == pytest.approx(result.parameters["k_xx"], rel=1e-4)
+    assert float(rows["k_xx"][2]) == pytest.approx(result.std["k_xx"], rel=0.05)
+
+
+def test_warnings_name_what_fell_short(page):
+    glance = page[page.index('id="summary"') : page.index('id="data"')]
+    assert re.search(r"piezos: \d+ validations below the minimum asked for", glance)
+    assert "no controller was designed" in page[page.index('id="left-out"') :]
+
+
+def test_lost_fits_are_named_with_reasons(job, tmp_path):
+    results = tmp_path / "results"
+    shutil.copytree(job.experiment.results, results)
+    (results / "fits" / "bearing" / "p3_n0_prbs1.h5").unlink()
+    changed = tmp_path / "changed.yaml"
+    text = CAMPAIGN.replace("piezos: {structure: piezo_pair}", "piezos: {structure: piezo_pair, focus: simulation}")
+    changed.write_text(text, encoding="utf-8")
+    gathered = Gathered(Job(load_experiment(changed, results)))
+    fits = fit_data(gathered)["fits"]
+    assert fits["bearing/p3_n0_prbs1"]["status"] == "missing: not made yet"
+    assert fits["piezos/p3_n0_prbs1"]["status"].startswith("stale: made with other settings")
+    assert fits["bearing/p3_n6000_prbs1"]["state"] in ("good", "warn")
+    glance = [link.text for link in warnings(gathered, [])]
+    assert "1 fit not made yet" in glance
+    assert "4 fits made with other settings or data" in glance
+    assert "piezos: not validated with the present fits" in glance
+    assert "no surfaces were drawn with the present fits" in glance
+
+
+def test_report_is_written_anew_only_when_something_changed(job, tmp_path):
+    assert write_report(job).state == "kept"
+    path = tmp_path / "own.html"
+    path.write_text("<p>mine</p>", encoding="utf-8")
+    outcome = write_report(job, path)
+    assert outcome.state == "failed"
+    assert "not made by an experiment" in outcome.text
+    assert path.read_text(encoding="utf-8") == "<p>mine</p>"
+
+
+def test_command_prints_the_path(job, tmp_path):
+    result = CliRunner().invoke(app, ["report", str(job.experiment.file.path)])
+    assert result.exit_code == 0
+    assert f"report: {job.experiment.results / 'report.html'}" in result.output
+    nothing = CliRunner().invoke(app, ["report", str(job.experiment.file.path), "--results", str(tmp_path / "none")])
+    assert nothing.exit_code == UsageError.exit_code
+    assert "no results yet" in nothing.output
+
+
+@given(st.lists(st.floats(-1e-3, 1e-3), min_size=1, max_size=50))
+def test_packed_curves_keep_four_digits(values):
+    given_values = np.array(values)
+    curve = packed(given_values)
+    back = np.frombuffer(base64.b64decode(curve["values"]), "<i2") * curve["scale"]
+    assert np.abs(back - given_values).max() <= np.abs(given_values).max() * 1.6e-5 + 1e-300
+
+
+def test_trace_covers_short_recordings(job):
+    validation = validate_pair(job, "piezos", "p3_n0_prbs1", "p3_n0_prbs1")
+    late = trace(validation, from_s=0.99)
+    assert late["start"] + late["outputs"][0]["n"] * late["step"] <= 1.0 + 1e-9
+    error = 1e6 * (validation.measured - validation.simulated)[:, 0]
+    low = late["outputs"][0]["error_low"]
+    raw = np.frombuffer(base64.b64decode(low["values"]), "<i2") * low["scale"]
+    assert raw.min() == pytest.approx(error.min(), abs=low["scale"])
+
+
+# ---------------------------------------------------------------- in the browser
+
+
+@needs_chromium
+def test_page_loads_without_a_fault_and_shows_the_fit_of_its_address(job):
+    path = job.experiment.results / "report.html"
+    text = dom(path, "#fit&piezos%2Fp7_n0_prbs1", "--enable-logging=stderr")
+    assert re.search(r'<ul id="page-errors"[^>]*hidden=""></ul>', text)
+    assert '<h4 id="fit-title" aria-live="polite">piezos, p7_n0_prbs1: 7 bar, 0 rpm</h4>' in text
+    curves = text[text.index('id="fit-curves"') : text.index('id="fit-parameters"')]
+    assert curves.count("<svg") - curves.count('aria-hidden="true"') == 4  # two outputs: curve and error
+    assert "NaN" not in curves
+
+
+@needs_chromium
+def test_page_fits_a_phone(job, tmp_path):
+    outer = tmp_path / "phone.html"
+    outer.write_text(
+        f"""<iframe id="f" src="{(job.experiment.results / "report.html").as_uri()}" width="390" height="800"></iframe>
+        <script>addEventListener("load", () => setTimeout(() => {{
+          const root = document.getElementById("f").contentDocument.documentElement;
+          document.title = root.scrollWidth + " of " + root.clientWidth;
+        }}, 500))</script>""",
+        encoding="utf-8",
+    )
+    text = dom(outer, "", "--allow-file-access-from-files", "--window-size=1000,900")
+    needed, there = map(int, re.search(r"<title>(\d+) of (\d+)</title>", text).groups())
+    assert 300 < there <= 390
+    assert needed <= there
+
+
+def explored(job, **settings):
+    fragment = "#explore&" + "&".join(f"{key}={value}" for key, value in settings.items()) + "&dump"
+    text = dom(job.experiment.results / "report.html", fragment)
+    assert re.search(r'<ul id="page-errors"[^>]*hidden=""></ul>', text)
+    found = re.search(r'<pre id="explorer-results"[^>]*>(.*?)</pre>', text, re.DOTALL)
+    return json.loads(html.unescape(found[1])), text
+
+
+def matched(found, expected):
+    """Largest relative distance of eigenvalues to their nearest, each taken once."""
+    left, worst = list(expected), 0.0
+    assert len(found) == len(left)
+    for value in found:
+        k = int(np.argmin(np.abs(np.array(left) - value)))
+        worst = max(worst, abs(left[k] - value) / abs(left[k]))
+        del left[k]
+    return worst
+
+
+@needs_chromium
+@pytest.mark.parametrize("seed", range(5))
+def test_explorer_computes_what_the_library_computes(job, seed):
+    random = np.random.default_rng(seed)
+    pressure, speed = random.uniform(3, 7), random.uniform(0, 6000)
+    kx, ky, corner = random.uniform(0, 1.1), random.uniform(0, 0.95), random.uniform(300, 2000)
+    axis = "xy"[seed % 2]
+    model = loop_model(Gathered(job))[0]
+    assert model.name == "small"  # the surfaces of this experiment, not the rig's
+    found, text = explored(job, P=pressure, n=speed, kx=kx, ky=ky, fc=corner, axis=axis)
+    assert found["settings"]["pressure"] == pressure
+    plant, controller = model.plant_at(pressure, speed), p_controller(kx, ky, corner)
+    closed = close_loop(plant, controller)
+    poles = [complex(*value) for value in found["eigenvalues"]]
+    assert matched(poles, closed.poles()) < 1e-9
+    assert found["stable"] == closed.is_stable()
+    loop = sensitivities(plant, controller)
+    S = loop.response("output", np.array(found["frequency_hz"]))
+    np.testing.assert_allclose(found["largest"], np.linalg.svd(S, compute_uv=False)[:, 0], rtol=1e-6)
+    np.testing.assert_allclose(found["xx"], np.abs(S[:, 0, 0]), rtol=1e-6)
+    np.testing.assert_allclose(found["yy"], np.abs(S[:, 1, 1]), rtol=1e-6)
+    assert found["stable"]
+    assert found["peak"]["value"] == pytest.approx(loop.peak("output").value, rel=1e-6)
+    at_rest = np.linalg.svd(loop.response("output", [0.0])[0], compute_uv=False)[0]
+    assert found["static_amplification"] == pytest.approx(at_rest, rel=1e-6)
+    assert found["damping"] == pytest.approx(min(damping for _, damping in closed.modes()), rel=1e-9)
+    assert f"{found['damping']:.3f}" in text[text.index('id="explore-verdict"') :][:300]
+    blow = HalfSine().towards({"x": 0.0, "y": 90.0}[axis])
+    answer = impact_response(plant, controller, blow, duration_s=0.2)
+    time = np.array(found["time_s"])
+    at = np.rint(time / 2e-5).astype(int)
+    np.testing.assert_allclose(answer.time_s[at], time, atol=1e-12)
+    position = np.array(found["position_m"])
+    assert np.abs(position - answer.p[at]).max() <= 1e-6 * np.abs(answer.p).max()
+
+
+@needs_chromium
+def test_explorer_says_when_the_loop_is_unstable(job):
+    found, text = explored(job, P=3.0, n=0.0, kx=3.0, ky=3.0, fc=1000.0)
+    model = loop_model(Gathered(job))[0]
+    closed = close_loop(model.plant_at(3.0, 0.0), p_controller(3.0, 3.0, 1000.0))
+    assert not closed.is_stable()
+    assert not found["stable"]
+    assert found["peak"]["value"] is None  # infinite
+    assert "Unstable: a real pole grows" in text
+
+
+def test_explorer_gets_the_model_as_it_is(page, job):
+    model = loop_model(Gathered(job))[0]
+    assert embedded(page, "explorer-model") == json.loads(json.dumps(explorer_model(model)))
