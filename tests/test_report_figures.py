@@ -22,7 +22,7 @@ from gbid.report.canvas import SERIES
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")
-_COUNTS = ("models", "recording")
+_COUNTS = ("pairs", "recording")
 
 
 @pytest.fixture(scope="module")

@@ -33,6 +33,16 @@ if TYPE_CHECKING:
     from gbid.report.figures import plot_response, response_figure, save_figure
     from gbid.report.frequency import MagnitudeCurves, bode_curves, plot_magnitudes, sensitivity_curves
     from gbid.report.impact import ImpactCurves, plot_impact
+    from gbid.report.of_results import (
+        crossval_data,
+        fit_over_pressure_data,
+        fit_surfaces_data,
+        impact_data,
+        impact_validation_data,
+        nominal_data,
+        piezo_data,
+        static_map_data,
+    )
     from gbid.report.over_pressure import (
         PressurePanel,
         delays_data,
@@ -71,6 +81,16 @@ _HOME = {
     "figures": ("plot_response", "response_figure", "save_figure"),
     "frequency": ("MagnitudeCurves", "bode_curves", "plot_magnitudes", "sensitivity_curves"),
     "impact": ("ImpactCurves", "plot_impact"),
+    "of_results": (
+        "crossval_data",
+        "fit_over_pressure_data",
+        "fit_surfaces_data",
+        "impact_data",
+        "impact_validation_data",
+        "nominal_data",
+        "piezo_data",
+        "static_map_data",
+    ),
     "over_pressure": ("PressurePanel", "delays_data", "modes_data", "plot_over_pressure", "static_gains_data"),
     "piezos": ("PiezoStaircase", "piezo_staircase_data", "plot_piezo_hysteresis", "plot_piezo_staircase"),
     "residuals": ("plot_residuals", "residuals_data", "residuals_figure"),
@@ -101,12 +121,19 @@ __all__ = [
     "StaticSweep",
     "Surface",
     "bode_curves",
+    "crossval_data",
     "damping_map_data",
     "delays_data",
     "eigenvalues_data",
+    "fit_over_pressure_data",
+    "fit_surfaces_data",
     "histogram_data",
+    "impact_data",
+    "impact_validation_data",
     "modes_data",
+    "nominal_data",
     "pareto_data",
+    "piezo_data",
     "piezo_staircase_data",
     "plot_actuator_parameters",
     "plot_closed_loop",
@@ -134,6 +161,7 @@ __all__ = [
     "save_figure",
     "sensitivity_curves",
     "static_gains_data",
+    "static_map_data",
     "static_sweep_data",
     "surfaces_data",
 ]

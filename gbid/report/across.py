@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from gbid.errors import UsageError
 from gbid.report.canvas import BLACK, BLUE, GREY, RED, TWO_COLUMNS, FloatArray, legend_above, letter, panels, styled
@@ -92,14 +93,17 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
     for panel, histogram in zip(axes, data, strict=False):
         panel.stairs(histogram.counts, histogram.edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
         panel.axvline(histogram.mean, color=RED, linestyle=(0, (5, 1.5)))
-        word = f"mean {histogram.mean:.2f} %\nstd {histogram.std:.2f} %\nn = {histogram.n}"
+        decimals = 2 if histogram.std >= 0.01 else 4
+        word = f"mean {histogram.mean:.2f} %\nstd {histogram.std:.{decimals}f} %\nn = {histogram.n}"
         left = histogram.mean > histogram.edges.mean()
         place: dict[str, Any] = {"x": 0.03, "ha": "left"} if left else {"x": 0.97, "ha": "right"}
         panel.text(y=0.96, s=word, va="top", fontsize=8, transform=panel.transAxes, **place)
         panel.set_title(histogram.label, loc="right", pad=4)
         panel.set_xlabel("fit [%]")
+        panel.xaxis.set_major_locator(MaxNLocator(5))
+        panel.ticklabel_format(axis="x", useOffset=False)
         panel.set_ylim(0, 1.35 * max(h.counts.max() for h in data))
-    axes[0].set_ylabel("models")
+    axes[0].set_ylabel("pairs")
     letter(axes)
     return figure
 

@@ -106,22 +106,25 @@ def plot_response(
 
 
 def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: str = "") -> None:
-    """Write a figure as png or pdf, the same bytes each time.
+    """Write a figure as png, pdf or svg, the same bytes each time.
 
     Parameters
     ----------
     figure : matplotlib Figure
     path : path
-    kind : {"png", "pdf"}, optional
+    kind : {"png", "pdf", "svg"}, optional
         The ending of the path decides when left out.
     note : str
         A remark that travels inside the file.
     """
     kind = kind or path.suffix.lstrip(".")
-    metadata: Mapping[str, str | None] = (
-        {"Comment": note} if kind == "png" else {"Keywords": note, "CreationDate": None}
-    )
-    with mpl.rc_context(fname=STYLE):
+    notes: dict[str, dict[str, str | None]] = {
+        "png": {"Comment": note},
+        "pdf": {"Keywords": note, "CreationDate": None},
+        "svg": {"Description": note, "Date": None},
+    }
+    metadata: Mapping[str, str | None] = notes.get(kind, {})
+    with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE):
         figure.savefig(path, format=kind, metadata=dict(metadata))
 
 

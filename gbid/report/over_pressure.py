@@ -193,7 +193,8 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
         panel.set_ylabel(quantity.label)
         if i >= len(data) - 2:
             panel.set_xlabel("injection pressure [bar]")
-    letter(axes[: len(data)])
+    if len(data) > 1:
+        letter(axes[: len(data)])
     legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
     return figure
 

@@ -149,7 +149,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
     for k, staircase in enumerate(data):
         rising = staircase.plateaus()[2]
-        color = (RED, BLACK)[k] if k < 2 else series(k)["color"]
+        color = (BLACK, RED)[k] if k < 2 else series(k)["color"]
         told: set[bool] = set()
         for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
             word = None if bool(up) in told else f"{staircase.label}, {'up' if up else 'down'}"

@@ -115,7 +115,7 @@ def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = Non
                 }
                 u, p = _MICROMETRES * sweep.u[there], _MICROMETRES * sweep.p[there, i]
                 panel.plot(u, p, marker=marker, label=label, **points)
-            text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
+            text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:z.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
             panel.set_title(text, loc="right", pad=4, fontsize=8)
             if j == 0:
                 panel.set_ylabel(f"$p_{output}$ [µm]")

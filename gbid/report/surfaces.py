@@ -154,6 +154,7 @@ def _plot_surface(ax: Any, surface: Surface) -> None:
     ax.set_xlabel("pressure [bar]", labelpad=-4)
     ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
     ax.tick_params(pad=-2, labelsize=7)
+    ax.tick_params(axis="z", pad=2)
     ax.xaxis.set_major_locator(_few())
     ax.yaxis.set_major_locator(_few())
     ax.zaxis.set_major_locator(_few())

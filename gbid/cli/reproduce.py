@@ -1,0 +1,49 @@
+"""`gbid reproduce`: the paper's figures beside those of an experiment on its machine."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gbid.cli.guard import guarded
+from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+
+
+def reproduce(
+    experiment: ExperimentPath,
+    results: Results = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows there, as JSON.")
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    debug: Debug = False,
+) -> None:
+    """Put the paper's figures beside ours, row by row: deviation, the paper's own scatter, and why ours is off."""
+    with guarded(as_json, debug):
+        import json
+
+        from gbid.atomic import atomic_path
+        from gbid.cli.ending import finish
+        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.progress import reporting
+        from gbid.experiment.load import load_experiment
+        from gbid.experiment.stages import Job
+        from gbid.report.paper.stage import reproduction_document, write_reproduction
+        from gbid.report.paper.table import reproduction_table
+
+        loaded = load_experiment(experiment, results)
+        with reporting() as reporter:
+            outcomes, rows = write_reproduction(Job(loaded, overwrite, reporter))
+        document = reproduction_document(rows)
+        if output is not None:
+            with atomic_path(output, overwrite=True) as part:
+                part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+        if as_json:
+            print_json(document)
+        else:
+            print_table(reproduction_table(document))
+            typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
+        finish(outcomes)

@@ -1,0 +1,215 @@
+"""The paper's figures beside ours, row by row, with the deviation, and why where it is large."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from math import isfinite, nan
+from typing import Any, Literal
+
+import numpy as np
+
+from gbid.errors import DataError, GbidError
+from gbid.lpv import CHARACTERISTICS, characteristics
+from gbid.report.paper.numbers import PaperNumber, paper_numbers
+from gbid.report.paper.results import Results
+from gbid.structure import KEY_PARAMETERS
+
+Verdict = Literal["within", "explained", "off", "missing"]
+Own = tuple[float, float]
+"""A value and its standard deviation, nan where there is none."""
+_SCALE = {"um": 1e6, "ms": 1e3}
+_PAIRS = ("xx", "xy", "yx", "yy")
+
+
+@dataclass(frozen=True)
+class ReproductionRow:
+    """One figure of the paper and ours.
+
+    Attributes
+    ----------
+    number : PaperNumber
+    ours, std : float
+        nan where there is none.
+    verdict : {"within", "explained", "off", "missing"}
+        Within the paper's own scatter; further off but explained, or not; not there.
+    why : str
+        The explanation, or what is missing.
+    """
+
+    number: PaperNumber
+    ours: float
+    std: float
+    verdict: Verdict
+    why: str = ""
+
+    @property
+    def deviation(self) -> float:
+        """Ours less the paper's."""
+        return self.ours - self.number.value
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values; None where there is none."""
+        n = self.number
+        return {
+            "id": n.id,
+            "where": n.where,
+            "quantity": n.quantity,
+            "unit": n.unit,
+            "paper": n.value,
+            "ours": _known(self.ours),
+            "ours_std": _known(self.std),
+            "deviation": _known(self.deviation),
+            "deviation_percent": _known(100 * self.deviation / n.value) if n.value else None,
+            "scatter": n.scatter,
+            "scatter_from": n.scatter_from,
+            "at_most": n.at_most,
+            "verdict": self.verdict,
+            "why": self.why,
+        }
+
+
+def reproduction(results: Results) -> list[ReproductionRow]:
+    """Put the paper's figures beside those of an experiment.
+
+    Parameters
+    ----------
+    results : Results
+        Of the paper's machine.
+
+    Returns
+    -------
+    list of ReproductionRow
+        In the order of the paper.
+
+    Raises
+    ------
+    DataError
+        When the machine is another.
+    """
+    if not results.published:
+        raise DataError("the paper's figures are for its own machine: an experiment with rig: {model: theisen2016}")
+    own = dict(_values())
+    rows = []
+    for number in paper_numbers():
+        try:
+            ours, std = own[number.id](results)
+        except GbidError as error:
+            rows.append(ReproductionRow(number, nan, nan, "missing", str(error)))
+            continue
+        scale = _SCALE.get(number.unit, 1.0)
+        rows.append(judged(number, scale * ours, scale * std))
+    return rows
+
+
+def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRow:
+    """Say whether a value lies within the paper's scatter, by twice its own standard deviation at most beyond it."""
+    if not isfinite(ours):
+        return ReproductionRow(number, ours, std, "missing", "not a finite number")
+    over = ours - number.value if number.at_most else abs(ours - number.value)
+    allowed = (number.scatter or 0.0) + (2 * std if isfinite(std) else 0.0)
+    if over <= allowed + 1e-12 * abs(number.value):
+        return ReproductionRow(number, ours, std, "within")
+    return ReproductionRow(number, ours, std, "explained" if number.off else "off", number.off)
+
+
+def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
+    """For each id the function that gives our value in SI (percents as such)."""
+    for k, pair in enumerate(_PAIRS):
+        yield f"static_rms_{pair}", partial(_static_rms, k)
+    yield "static_largest", _static_largest
+    yield "recordings", _models
+    for name in ("p1_x", "p2_x", "p1_y", "p2_y", "kappa_x", "kappa_y"):
+        yield f"actuator_{name}", partial(_actuator, name)
+    for word, structure in (("bearing", "rotor_bearing"), ("actuator", "piezo_pair")):
+        for j, axis in enumerate("xy"):
+            for what in ("mean", "std"):
+                yield f"{word}_{what}_{axis}", partial(_crossval, structure, what, j)
+    for j, name in enumerate(CHARACTERISTICS):
+        yield f"rms_{name}", partial(_rms, j)
+        yield f"surface_{name}", partial(_off_published, j)
+    yield "largest_gain", _largest_gain
+    for loop in ("open", "closed"):
+        for i in (1, 2):
+            for j, what in enumerate(("frequency", "damping")):
+                yield f"expected_{loop}_{what}_{i}", partial(_expected, loop, i - 1, j)
+                yield f"obtained_{loop}_{what}_{i}", partial(_obtained, loop, i - 1, what)
+    for i in (1, 2):
+        yield f"damping_factor_{i}", partial(_damping_factor, i - 1)
+    yield "hysteresis", _hysteresis
+
+
+def _static_rms(k: int, results: Results) -> Own:
+    return float(results.static_map.rms.flat[k]), nan
+
+
+def _static_largest(results: Results) -> Own:
+    return float(np.nanmax(results.static_map.largest)), nan
+
+
+def _models(results: Results) -> Own:
+    """Count the recordings whose fit stands behind the surfaces."""
+    return float(len(results.surfaces.estimates.recordings)), nan
+
+
+def _actuator(name: str, results: Results) -> Own:
+    return results.nominal.parameters[name], results.nominal.std[name]
+
+
+def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: Results) -> Own:
+    summary = results.summary(structure)
+    return float((summary.mean if what == "mean" else summary.std)[j]), nan
+
+
+def _rms(j: int, results: Results) -> Own:
+    return results.surfaces.deviations[j].rms, nan
+
+
+def _largest_gain(results: Results) -> Own:
+    return max(d.largest for d in results.surfaces.deviations if d.name.startswith("g_")), nan
+
+
+def _off_published(j: int, results: Results) -> Own:
+    """Rms over the operating points of a characteristic of our surfaces less that of the published ones."""
+    points = np.array(results.machine.operating_points, float)
+    ours, published = (
+        characteristics(np.column_stack([np.broadcast_to(p[key], len(points)) for key in KEY_PARAMETERS]))
+        for p in (
+            model.key_parameters(points[:, 0], points[:, 1]) for model in (results.surfaces.model, results.machine)
+        )
+    )
+    return float(np.sqrt(np.mean((ours[:, j] - published[:, j]) ** 2))), nan
+
+
+def _expected(loop: str, i: int, j: int, results: Results) -> Own:
+    return results.impacts_at(False)[loop].expected[i][j], nan
+
+
+def _obtained(loop: str, i: int, what: str, results: Results) -> Own:
+    ring = results.impacts_at(False)[loop].ringdown
+    value, std = (ring.frequency_hz, ring.frequency_std) if what == "frequency" else (ring.damping, ring.damping_std)
+    return float(value[i]), float(std[i])
+
+
+def _damping_factor(i: int, results: Results) -> Own:
+    """How many times the controller makes a damping factor larger."""
+    return _expected("closed", i, 1, results)[0] / _expected("open", i, 1, results)[0], nan
+
+
+def _hysteresis(results: Results) -> Own:
+    for curve, *_ in results.piezos:
+        if curve.units[0] == "V":
+            return curve.hysteresis, curve.hysteresis_std
+    raise DataError("no piezo was characterised in open loop; add one to section 'static'")
+
+
+def counts(rows: list[ReproductionRow]) -> Mapping[str, int]:
+    """How many rows have each verdict."""
+    return {
+        verdict: sum(row.verdict == verdict for row in rows) for verdict in ("within", "explained", "off", "missing")
+    }
+
+
+def _known(value: float) -> float | None:
+    return float(value) if isfinite(value) else None

@@ -1,0 +1,153 @@
+"""The paper's tables from an experiment's results, as rows: csv for programs, Markdown for reports."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.lpv import TERMS
+from gbid.report.numbers import engineering
+from gbid.report.paper.results import Results
+from gbid.structure import KEY_PARAMETERS
+
+Cell = str | float | int | None
+_UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
+_PER = ("", "/bar", "/rpm", "/(bar rpm)", "/bar^2", "/rpm^2")
+_DIGITS = 4
+
+
+@dataclass(frozen=True)
+class PaperTable:
+    """A table.
+
+    Attributes
+    ----------
+    title : str
+    columns : tuple of str
+    rows : tuple of tuples
+        Texts and numbers; None where there is nothing.
+    """
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+
+    def csv(self) -> str:
+        """Write it as csv, numbers in full."""
+        text = io.StringIO()
+        writer = csv.writer(text, lineterminator="\n")
+        writer.writerow(self.columns)
+        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
+        return text.getvalue()
+
+    def markdown(self) -> str:
+        """Write it as Markdown, numbers with four digits."""
+        lines = [self.columns, tuple("---" for _ in self.columns), *(tuple(map(_shown, row)) for row in self.rows)]
+        body = "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
+        return f"**{self.title}**\n\n{body}\n"
+
+
+def machine_table(results: Results) -> PaperTable:
+    """Give the dimensions of the machine (Table 1), as its model file gives them."""
+    if not results.machine.rig:
+        raise DataError(f"the model file of {results.machine.name!r} gives no dimensions of the machine")
+    rows = [(name.replace("_", " "), q.value, q.unit, q.source) for name, q in results.machine.rig.items()]
+    return PaperTable("Table 1: the machine", ("dimension", "value", "unit", "source"), tuple(rows))
+
+
+def actuator_table(results: Results) -> PaperTable:
+    """Put the nominal actuators (Table 2) beside those of the machine's model file."""
+    nominal = results.nominal
+    known = _published(results)
+    rows = [
+        (name, value, nominal.std[name], known.get(name), "m/m" if name.startswith("kappa") else "rad/s")
+        for name, value in nominal.parameters.items()
+    ]
+    title = f"Table 2: nominal actuators, the model of {nominal.name}"
+    return PaperTable(title, ("parameter", "value", "std", "published", "unit"), tuple(rows))
+
+
+def frequency_table(results: Results) -> PaperTable:
+    """Give expected and obtained natural frequencies (Table 3)."""
+    return _mode_table(results, "Table 3: natural frequencies [Hz]", "omega", 0)
+
+
+def damping_table(results: Results) -> PaperTable:
+    """Give expected and obtained damping factors (Table 4)."""
+    return _mode_table(results, "Table 4: damping factors", "zeta", 1)
+
+
+def controller_table(results: Results) -> PaperTable:
+    """Give the controllers of the piezos (Table A.5), as the machine's model file gives them."""
+    found = results.machine.piezo_controllers
+    if found is None:
+        raise DataError(f"the model file of {results.machine.name!r} gives no controllers of the piezos")
+    columns = ("piezo", *(f"{name} [{unit}]" for name, unit in found.unit.items()))
+    rows = tuple((i, *(getattr(pd, name) for name in found.unit)) for i, pd in enumerate(found.piezos, 1))
+    return PaperTable("Table A.5: controllers of the piezos", columns, rows)
+
+
+def coefficient_table(results: Results) -> PaperTable:
+    """Put the coefficients of the surfaces (Table B.6) beside those of the machine's model file."""
+    fit = results.surfaces
+    std = np.sqrt(np.diag(fit.covariance)).reshape(len(KEY_PARAMETERS), len(TERMS))
+    known = results.machine.coefficients if results.experiment.spec.rig is not None else {}
+    rows = [
+        (key, term, value, float(std[i, j]), known[key][j] if known else None, f"{_UNITS[key.split('_')[0]]}{_PER[j]}")
+        for i, key in enumerate(KEY_PARAMETERS)
+        for j, (term, value) in enumerate(zip(TERMS, fit.model.coefficients[key], strict=True))
+    ]
+    columns = ("parameter", "term", "value", "std", "published", "unit")
+    return PaperTable("Table B.6: coefficients of the surfaces, per kg", columns, tuple(rows))
+
+
+def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
+    loops = results.impacts_at(False)
+    point = next(iter(loops.values())).conditions
+    place = (point["pressure_bar"], point["speed_rpm"])
+    columns = [(i, loop) for i in (0, 1) for loop in ("open", "closed")]
+    rows: list[tuple[Cell, ...]] = [
+        ("expected from model", *(loops[loop].expected[i][j] for i, loop in columns)),
+        ("expected as it runs, sampled", *(loops[loop].expected_running[i][j] for i, loop in columns)),
+        ("obtained from the blows", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
+        ("standard deviation", *(_std(loops[loop].ringdown, i, j) for i, loop in columns)),
+    ]
+    modes = [m for m in results.machine.reference_modes if (m.pressure_bar, m.speed_rpm) == place]
+    for kind in ("expected", "measured"):
+        known = {m.loop: m.modes for m in modes if m.kind == kind}
+        if {"open", "closed"} <= set(known):
+            word = "expected from model" if kind == "expected" else "obtained experimentally"
+            rows.append((f"published: {word}", *(known[loop][i][j] for i, loop in columns)))  # type: ignore[index]
+    heads = ("", *(f"{sign}_{i + 1} {loop}" for i, loop in columns))
+    return PaperTable(f"{title}, {place[0]:g} bar, {place[1]:g} rpm", heads, tuple(rows))
+
+
+def _std(ring: Any, i: int, j: int) -> float:
+    return float((ring.frequency_std, ring.damping_std)[j][i])
+
+
+def _published(results: Results) -> dict[str, float]:
+    return dict(results.machine.actuators) if results.experiment.spec.rig is not None else {}
+
+
+def _shown(cell: Cell) -> str:
+    if cell is None or isinstance(cell, str):
+        return cell or ""
+    return str(cell) if isinstance(cell, int) else engineering(cell, _DIGITS)
+
+
+TABLES: dict[str, Callable[[Results], PaperTable]] = {
+    "table1_machine": machine_table,
+    "table2_actuators": actuator_table,
+    "table3_natural_frequencies": frequency_table,
+    "table4_damping_factors": damping_table,
+    "tableA5_piezo_controllers": controller_table,
+    "tableB6_coefficients": coefficient_table,
+}
+"""Tables by name. Each raises `DataError` when its results are not there."""

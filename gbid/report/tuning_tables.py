@@ -1,0 +1,123 @@
+"""Tuned designs as documents and as tables, beside the controller that came with the machine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from rich.console import Group
+from rich.table import Table
+from rich.text import Text
+
+from gbid.control.compare import COLUMNS
+from gbid.control.gain_result import GainResult
+from gbid.control.point_assessment import FIGURES
+from gbid.control.tuned_design import DesignFigures, TunedDesign
+from gbid.experiment.stages import Outcome
+from gbid.report.rows import Row
+from gbid.report.tables import new_table
+
+
+def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
+    """Everything that tuned designs say, as plain values; those that failed are left out."""
+    paths = {(o.stage, o.item): str(o.path) for o in outcomes if o.state != "failed"}
+    return [
+        {
+            "design": name,
+            "path": paths["tune", name],
+            "controller": paths.get(("controller", name)),
+            "plant": design.plant,
+            "structure": design.worth[0].structure,
+            **_result_row(design.result),
+            "points": [list(point) for point in design.result.points],
+            "sample_time_s": design.sample_time,
+            "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
+            "worth": [_worth_row(worth) for worth in design.worth],
+            "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
+        }
+        for name, design in designs.items()
+    ]
+
+
+def tuning_tables(documents: Sequence[Row]) -> Group:
+    """Designs side by side, those at the same points of the same plant in one table, then the gains of each.
+
+    Parameters
+    ----------
+    documents : sequence of dict
+        From `tuning_documents`.
+    """
+    groups: dict[tuple[Any, ...], list[Row]] = {}
+    for document in documents:
+        blow = tuple(document["impact"].values())
+        points = tuple(map(tuple, document["points"]))
+        groups.setdefault((document["plant"], points, blow, document["sample_time_s"]), []).append(document)
+    parts: list[Table | Text] = []
+    for (plant, points, (peak, duration), sample_time), group in groups.items():
+        where = f"{points[0][0]:g} bar, {points[0][1]:g} rpm" if len(points) == 1 else f"{len(points)} operating points"
+        note = (
+            f"disc and stack under a half-sine blow of {peak:g} N, {1e3 * duration:g} ms; "
+            f"sampled at {1e3 * sample_time:g} ms with one sample for computation"
+        )
+        worths = [document["worth"][0] for document in group] + group[0]["worth"][1:]
+        table = new_table(f"{plant}, worst over {where}", ["", *(worth["name"] for worth in worths)], left=("",))
+        for heading, figure, factor, form in COLUMNS:
+            table.add_row(
+                heading.replace("[", "\\["), *(format(factor * w["worst"][figure]["value"], form) for w in worths)
+            )
+        parts += [table, Text(note), Text("")]
+        for document in group:
+            parts += [*_lines(document), Text("")]
+    return Group(*parts)
+
+
+def _lines(document: Row) -> list[Text]:
+    gains = ", ".join(f"{name} = {value:.5g}" for name, value in document["gains"].items())
+    held = f"; held back by {', '.join(document['active'])}" if document["active"] else ""
+    unit = " 1/s" if document["objective"] == "decay" else ""
+    worst = document["worst"]
+    lines = [
+        f"{document['design']} ({document['structure']}): {gains}",
+        f"  {document['status']}: {document['objective']} {document['value']:.4f}{unit}{held}",
+        f"  worst mode: {worst['frequency_hz']:.1f} Hz, damping {worst['damping']:.4f}, at {worst['where']}",
+        f"  checked: {document['verified_on']}",
+        *(f"  note: {note}" for note in document["notes"]),
+    ]
+    for row in document["pareto"]:
+        found = f"{row['value']:.4f}" if row["success"] else row["status"]
+        lines.append(f"  peak of S_o at most {row['cap']:g}: {row['objective']} {found}")
+    if document["controller"]:
+        lines.append(f"  controller: {document['controller']}")
+    return [Text(line) for line in lines]
+
+
+def _result_row(result: GainResult) -> Row:
+    names = ("value", "objective", "status", "success", "violation", "verified_on")
+    peaks = ("peak_sensitivity", "peak_control", "static_amplification")
+    return {
+        "gains": dict(result.gains),
+        **{name: getattr(result, name) for name in (*names, *peaks)},
+        "worst": {
+            "where": result.worst.where,
+            "frequency_hz": result.worst.frequency_hz,
+            "damping": result.worst.damping,
+        },
+        "active": list(result.active),
+        "notes": list(result.notes),
+    }
+
+
+def _worth_row(worth: DesignFigures) -> Row:
+    return {
+        "name": worth.name,
+        "structure": worth.structure,
+        "gains": dict(worth.gains),
+        "worst": {
+            figure: {"value": value, "pressure_bar": point[0], "speed_rpm": point[1]}
+            for figure, (value, point) in worth.worst.items()
+        },
+        "points": [
+            {"pressure_bar": float(p), "speed_rpm": float(n), **dict(zip(FIGURES, map(float, row), strict=True))}
+            for (p, n), row in zip(worth.points, worth.figures, strict=True)
+        ],
+    }

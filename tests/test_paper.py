@@ -1,0 +1,312 @@
+"""The paper's figures and tables from results, and its figures beside ours."""
+
+import csv
+import json
+import math
+
+import numpy as np
+import pytest
+from experiment_files import QUICK
+from figure_cases import machine
+from typer.testing import CliRunner
+
+import gbid
+from gbid import report
+from gbid.cli.main import app
+from gbid.control.blows import Blow
+from gbid.control.impact_study import ImpactStudy
+from gbid.control.impact_validation import ImpactValidation
+from gbid.errors import DataError, UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import Job
+from gbid.lpv import CHARACTERISTICS, fit_lpv
+from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
+from gbid.lpv.estimates import Estimates
+from gbid.report.paper import figures, stage, tables
+from gbid.report.paper.numbers import PaperNumber, paper_numbers
+from gbid.report.paper.reproduction import _values, judged, reproduction
+from gbid.report.paper.results import Results
+from gbid.report.paper.table import reproduction_markdown
+from gbid.share import share_folder
+from gbid.structure import KEY_PARAMETERS
+from gbid.validate import ValidationScores, summarise
+
+NUMBERS = {number.id: number for number in paper_numbers()}
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+def test_listed_modes_and_actuators_are_those_of_the_model_file():
+    paper = machine()
+    for modes in paper.reference_modes:
+        word = {"expected": "expected", "measured": "obtained"}.get(modes.kind)
+        for i, (frequency, damping) in enumerate(modes.modes, 1):
+            if word:
+                assert NUMBERS[f"{word}_{modes.loop}_frequency_{i}"].value == frequency
+                assert NUMBERS[f"{word}_{modes.loop}_damping_{i}"].value == damping
+    for name, value in paper.actuators.items():
+        assert NUMBERS[f"actuator_{name}"].value == value
+
+
+def test_listed_deviations_are_those_of_the_surfaces():
+    for name in CHARACTERISTICS:
+        scale = 1e3 if name.startswith("tau") else 1.0
+        assert NUMBERS[f"rms_{name}"].value == pytest.approx(scale * PUBLISHED_RMS[name])
+        assert NUMBERS[f"surface_{name}"].scatter == pytest.approx(scale * PUBLISHED_RMS[name])
+    assert NUMBERS["largest_gain"].value == PUBLISHED_LARGEST_GAIN
+
+
+def test_each_listed_figure_has_a_value_of_ours_and_the_other_way_round():
+    assert set(NUMBERS) == set(dict(_values()))
+
+
+def test_a_row_without_scatter_or_bound_is_explained():
+    for number in NUMBERS.values():
+        assert number.off or number.at_most or number.scatter is not None, number.id
+        assert number.scatter is None or number.scatter_from, number.id
+
+
+@pytest.mark.parametrize(
+    ("number", "ours", "std", "verdict"),
+    [
+        (PaperNumber("a", "", "", "", 10.0, 1.0), 10.9, math.nan, "within"),
+        (PaperNumber("a", "", "", "", 10.0, 1.0), 8.9, math.nan, "off"),
+        (PaperNumber("a", "", "", "", 10.0, 1.0), 11.3, 0.2, "within"),
+        (PaperNumber("a", "", "", "", 10.0, 1.0, off="why"), 12.0, 0.2, "explained"),
+        (PaperNumber("a", "", "", "", 10.0, at_most=True), 0.1, math.nan, "within"),
+        (PaperNumber("a", "", "", "", 10.0, at_most=True), 10.1, math.nan, "off"),
+        (PaperNumber("a", "", "", "", 10.0, 1.0), math.nan, math.nan, "missing"),
+    ],
+)
+def test_verdicts(number, ours, std, verdict):
+    row = judged(number, ours, std)
+    assert row.verdict == verdict
+    assert row.why == (number.off if verdict == "explained" else row.why)
+
+
+def test_broken_list_of_figures_is_refused(tmp_path):
+    path = tmp_path / "numbers.yaml"
+    path.write_text(
+        "explanations: {a: text}\nnumbers:\n  - {id: x, where: '', quantity: q, unit: '', value: 1, off: b}\n"
+    )
+    with pytest.raises(UsageError, match="no explanation 'b'"):
+        paper_numbers(path)
+    row = "  - {id: x, where: '', quantity: q, unit: '', value: 1}\n"
+    path.write_text(f"explanations: {{}}\nnumbers:\n{row}{row}")
+    with pytest.raises(UsageError, match="twice"):
+        paper_numbers(path)
+
+
+def staircases(gain, scatter=0.0):
+    """Recordings of a static map, one staircase for each axis, with the equilibrium away from zero."""
+    random, found = np.random.default_rng(1), []
+    levels = 1e-6 * np.concatenate([np.arange(-5, 6), np.arange(4, -6, -1)])
+    for axis in (0, 1):
+        u = np.zeros((len(levels) * 200, 2))
+        u[:, axis] = np.repeat(levels, 200)
+        p = u @ gain.T + [3e-6, -2e-6] + scatter * random.standard_normal(u.shape)
+        found.append(gbid.Recording({"r": u, "u": u, "p": p}, 2e-4, name="xy"[axis]))
+    return found
+
+
+def test_static_map_panels_are_the_gains():
+    gain = np.array([[0.25, -0.01], [0.02, 0.29]])
+    sweeps = report.static_map_data(gbid.characterise_staircase(staircases(gain, 1e-9)))
+    assert [sweep.axis for sweep in sweeps] == ["x", "y"]
+    for j, sweep in enumerate(sweeps):
+        slope = np.polyfit(sweep.u, sweep.p, 1)
+        assert slope[0] == pytest.approx(gain[:, j], abs=2e-4)
+        assert slope[1] == pytest.approx([0, 0], abs=2e-9)  # about the equilibrium
+        assert sweep.gain == pytest.approx(slope[0], abs=1e-4)
+        assert 0 < sweep.rising.sum() < len(sweep.u)
+
+
+def test_histogram_counts_every_pair():
+    random = np.random.default_rng(2)
+    percent = np.column_stack([80 + random.standard_normal(40), 85 + random.standard_normal(40)])
+    names = tuple(str(i) for i in range(40))
+    where = np.full(40, 6.0)
+    scores = ValidationScores(names, names, where, where, ("p_x", "p_y"), ("m", "m"), percent, 1e-6 * percent)
+    drawn = report.crossval_data(summarise(scores))
+    assert [h.n for h in drawn] == [40, 40]
+    assert [h.mean for h in drawn] == pytest.approx(percent.mean(axis=0))
+    assert [h.std for h in drawn] == pytest.approx(percent.std(axis=0, ddof=1))
+
+
+@pytest.fixture(scope="module")
+def surfaces():
+    paper, random = machine(), np.random.default_rng(3)
+    points = np.repeat(np.array(paper.operating_points), 2, axis=0)
+    values = np.column_stack([paper.key_parameters(*points.T)[key] for key in KEY_PARAMETERS])
+    values *= 1 + 0.01 * random.standard_normal(values.shape)
+    names = tuple(f"r{i}" for i in range(len(points)))
+    covariance = np.array([np.diag((0.01 * v) ** 2) for v in values])
+    return fit_lpv(Estimates(names, points, values, covariance), weighting="ordinary")
+
+
+@pytest.mark.parametrize("what", ["delay", "frequency", "damping", "gain"])
+def test_estimates_stand_at_their_points(surfaces, what):
+    panels = report.fit_over_pressure_data(surfaces, what)
+    for panel in panels:
+        assert panel.points == pytest.approx(surfaces.estimates.points)
+        assert list(panel.speed_rpm) == [0, 4000, 6000]
+        on_curve = [
+            np.interp(bar, panel.pressure_bar, panel.values[list(panel.speed_rpm).index(rpm)])
+            for bar, rpm in panel.points
+        ]
+        assert panel.estimates == pytest.approx(on_curve, rel=0.2, abs=0.02)
+    if what == "frequency":
+        k = dict(zip(KEY_PARAMETERS, surfaces.estimates.values[0], strict=True))
+        A = np.block(
+            [
+                [np.zeros((2, 2)), np.eye(2)],
+                [np.array([[k[f"{c}_{p}"] for p in row] for row in (("xx", "xy"), ("yx", "yy"))]) for c in "kd"],
+            ]
+        )
+        expected = np.unique(np.round(np.abs(np.linalg.eigvals(A)) / (2 * np.pi), 9))
+        assert [panel.estimates[0] for panel in panels] == pytest.approx(expected)
+
+
+def test_surface_panels_are_the_estimates(surfaces):
+    for surface in report.fit_surfaces_data(surfaces, "d"):
+        column = KEY_PARAMETERS.index(surface.name)
+        assert surface.estimates == pytest.approx(surfaces.estimates.values[:, column])
+        assert surface.at_points == pytest.approx(surfaces.surface[:, column])
+
+
+def study(loop, start, decay):
+    time = 2e-4 * np.arange(2000)
+    p, f = np.zeros((2000, 2)), np.zeros((2000, 2))
+    for blow in (start, start + 900):
+        f[blow : blow + 10, 0] = 10.0
+        p[blow:, 0] += 1e-6 * np.exp(-decay * time[: 2000 - blow])
+    windows = ((start, start + 400), (start + 900, start + 1300))
+    blows = tuple(Blow(a, a + 10, 10.0, 0.0) for a, _ in windows)
+    found = ImpactValidation(
+        0.5,
+        0.01,
+        np.array([80.0, 1.0]),
+        80.0,
+        time,
+        p + 1e-7,
+        np.full_like(p, 1e-7),
+        p,
+        f,
+        windows,
+        blows,
+        0,
+        "r",
+        loop,
+    )
+    modes = ((120.0, 0.1), (130.0, 0.1))
+    return ImpactStudy({"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, None, (found,))
+
+
+def test_blows_of_both_loops_begin_at_zero():
+    curves = report.impact_data(study("open", 300, 20.0), study("closed", 457, 90.0), "x")
+    assert set(curves.responses) == set(curves.forces) == {"open loop", "closed loop"}
+    for force in curves.forces.values():
+        assert curves.time[np.flatnonzero(force)[0]] == pytest.approx(0.0, abs=1e-12)
+        assert (force > 0).sum() == 10  # the second blow is not shown
+    assert curves.title == "6 bar, 0 rpm"
+    with pytest.raises(UsageError, match="no blow along y"):
+        report.impact_data(study("open", 300, 20.0), study("closed", 457, 90.0), "y")
+    compared = report.impact_validation_data(study("closed", 457, 90.0), "x")
+    assert compared.responses["measured"] == pytest.approx(
+        compared.responses["simulated"]
+    )  # the rest turned with the shaft
+
+
+SMALL = (
+    QUICK.replace("pressure_bar: 5.0, speed_rpm: 6000", "pressure_bar: 6.0, speed_rpm: 0") + "nominal: {fit: piezos}\n"
+)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("paper")
+    path = folder / "experiment.yaml"
+    path.write_text(SMALL)
+    for verb in ("rig", "fit", "crossval"):
+        result = call(verb, path, "--results", folder / "out")
+        assert result.exit_code == 0, result.output
+    return path, folder / "out"
+
+
+def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
+    path, out = small
+    wanted = ("fig03_differential_pairing", "fig09_crossval_bearing", "fig11_stiffness", "fig20_sensitivities")
+    monkeypatch.setattr(stage, "FIGURES", {name: figures.FIGURES[name] for name in wanted})
+    result = call("figures", path, "--results", out, "--json")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    left_out = {row["item"]: row["why"] for row in document["left_out"]}
+    assert left_out["fig11_stiffness"] == "no section 'lpv'; add one"
+    assert left_out["table3_natural_frequencies"] == "no section 'impacts'; add one"
+    assert set(left_out) == {
+        *wanted[2:],
+        "table3_natural_frequencies",
+        "table4_damping_factors",
+        "tableB6_coefficients",
+    }
+    for name in wanted[:2]:
+        begins = {"pdf": b"%PDF", "svg": b"<?xml", "png": b"\x89PNG"}
+        for kind, magic in begins.items():
+            assert (out / "figures" / f"{name}.{kind}").read_bytes().startswith(magic)
+    again = json.loads(call("figures", path, "--results", out, "--json").stdout)
+    assert {o["state"] for o in again["outcomes"]} == {"kept"}
+
+
+def test_tables_hold_what_the_model_file_says(small):
+    path, out = small
+    results = Results(Job(load_experiment(path, out)))
+    table = tables.actuator_table(results)
+    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    assert {row["parameter"]: row["published"] for row in rows} == dict(machine().actuators)
+    assert {row["parameter"]: row["value"] for row in rows} == results.nominal.parameters
+    read = list(csv.DictReader(tables.controller_table(results).csv().splitlines()))
+    assert [float(row["gain [m/m]"]) for row in read] == [0.926, 0.927, 0.220, 0.640]
+    assert tables.machine_table(results).markdown().count("\n| ") == 2 + len(machine().rig)
+
+
+def test_rows_without_results_are_missing_with_the_reason(small):
+    path, out = small
+    rows = {row.number.id: row for row in reproduction(Results(Job(load_experiment(path, out))))}
+    assert rows["bearing_mean_x"].verdict != "missing"
+    assert rows["rms_omega_1"].why == "no section 'lpv'; add one"
+    assert "static" in rows["static_rms_xx"].why
+    text = reproduction_markdown(stage.reproduction_document(list(rows.values())))
+    assert text.count("\n| ") == 1 + len(rows)
+    result = call("reproduce", path, "--results", out, "--json")
+    assert len(json.loads(result.stdout)["rows"]) == len(NUMBERS)
+    assert (out / "reproduction.csv").read_text().count("\n") == len(NUMBERS) + 2
+
+
+def test_another_machine_has_no_reproduction(tmp_path):
+    text = (share_folder("models") / "theisen2016.yaml").read_text(encoding="utf-8")
+    (tmp_path / "own.yaml").write_text(text.replace("name: theisen2016", "name: own"), encoding="utf-8")
+    path = tmp_path / "experiment.yaml"
+    path.write_text(QUICK.replace("rig:\n", "rig:\n  model: own.yaml\n"))
+    with pytest.raises(DataError, match="theisen2016"):
+        reproduction(Results(Job(load_experiment(path, tmp_path / "out"))))
+
+
+def test_staircases_are_made_where_they_are_asked_for(tmp_path):
+    path = tmp_path / "experiment.yaml"
+    points = "operating_points: [{pressure_bar: 5.0, speed_rpm: 0}, {pressure_bar: 6.0, speed_rpm: 0}]"
+    text = f"format: 1\nname: own\nrig:\n  {points}\n  staircase: {{at: [{{pressure_bar: 6.0, speed_rpm: 0}}]}}\n"
+    path.write_text(text)
+    stairs = [name for name in load_experiment(path).recordings if "stairs" in name]
+    assert stairs == ["p6_n0_stairs_x1", "p6_n0_stairs_y1"]
+    path.write_text(text.replace("at: [{pressure_bar: 6.0", "at: [{pressure_bar: 7.0"))
+    with pytest.raises(UsageError, match="no operating point of the rig"):
+        load_experiment(path)
+
+
+@pytest.mark.parametrize("kind", ["pdf", "svg", "png"])
+def test_pictures_are_the_same_bytes_each_time(tmp_path, kind):
+    for name in ("a", "b"):
+        report.save_figure(report.plot_differential_pairing(), tmp_path / f"{name}.{kind}", note="content_key: 0")
+    assert (tmp_path / f"a.{kind}").read_bytes() == (tmp_path / f"b.{kind}").read_bytes()
