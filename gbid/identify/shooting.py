@@ -257,8 +257,8 @@ class Shooting:
             self._last[key] = iterate
         return self._last[key]
 
-    def correction(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Add this to ``lam_f`` times the Gauss-Newton Hessian to have exact columns for the disturbance gain.
+    def correction(self, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
+        """Add this to the Gauss-Newton Hessian of the Lagrangian to have exact columns for the disturbance gain.
 
         What the disturbance gain does to the predictions is made of the errors themselves, so the second
         derivatives that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences
@@ -269,16 +269,16 @@ class Shooting:
         (n_nonzeros,) array
             Entries where `hessian_pattern` has them.
         """
-        entries = lam_f * self.at(unknowns).hessian
-        gauss_newton = entries.copy()
+        gauss_newton = self.at(unknowns).hessian
+        entries = gauss_newton.copy()
         if not self.noise or len(self.noise) > _MOST_DIFFERENCES:
             return np.zeros_like(entries)
-        here = self._lagrangian_gradient(self.at(unknowns), lam_f, lam_gaps)
+        here = self.lagrangian_gradient(self.at(unknowns), 1.0, lam_gaps)
         rows, columns = self.hessian_pattern.rows, self.hessian_pattern.columns
         for j in self.noise:
             there = unknowns.copy()
             there[j] += _DIFFERENCE
-            slope = (self._lagrangian_gradient(self._evaluate(there), lam_f, lam_gaps) - here) / _DIFFERENCE
+            slope = (self.lagrangian_gradient(self._evaluate(there), 1.0, lam_gaps) - here) / _DIFFERENCE
             if not np.isfinite(slope).all():
                 continue
             in_column, in_row = columns == j, rows == j
@@ -291,7 +291,8 @@ class Shooting:
         """Parameters that only disturbance gains depend on."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
-    def _lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+    def lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Gradient of ``lam_f cost + lam_gaps' gaps`` at an evaluated point, (n_unknowns,)."""
         pattern = self.jacobian_pattern
         weighted = iterate.jacobian * lam_gaps[pattern.rows]
         return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))

@@ -6,7 +6,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -14,6 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.identify.casadi_callback import Oracle
+from gbid.identify.curvature import Curvature, GaussNewton, StructuredSecant
+from gbid.identify.one_window import in_one_window, in_windows
 from gbid.identify.shooting import Iterate, Pattern, Shooting
 from gbid.identify.watch import PAPER_TOLERANCE, PATIENCE, Interrupt, Progress, Stop, Watch
 
@@ -23,8 +25,6 @@ UNSTABLE = (
     "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
 )
 
-_LONG = 20_000  # samples
-_SLOW, _REFRESH = 5, 3  # iterations
 _WORDS = {
     "Solve_Succeeded": "converged",
     "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
@@ -75,6 +75,9 @@ def solve(
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
+    Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each piece
+    becomes one window, and what Gauss-Newton leaves out of the Hessian is learned on the way (`StructuredSecant`).
+
     Parameters
     ----------
     problem : Shooting
@@ -99,10 +102,36 @@ def solve(
         After Ctrl-C, once the iteration under way has ended.
     """
     with _interruptible() as interrupt:
-        solver, watch, _alive = _ipopt(problem, stop, tolerance, max_iterations, progress, interrupt)
-        if not interrupt.pressed:
-            result = solver(x0=start, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
-    if interrupt.pressed:
+        watch = Watch(problem, stop, progress, interrupt, changes_over=True)
+        first = _run(problem, watch, (start, lower, upper), tolerance, max_iterations, GaussNewton(problem))
+        if not watch.creeping:
+            return first
+        joined, kept = in_one_window(problem)
+        watch = Watch(joined, stop, progress, interrupt, earlier=first.history)
+        box = (first.unknowns[kept], lower[kept], upper[kept])
+        last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, StructuredSecant(joined))
+    return replace(
+        last,
+        unknowns=in_windows(problem, joined, last.unknowns),
+        iterations=first.iterations + last.iterations,
+        history=(*first.history, *last.history[1:]),
+    )
+
+
+def _run(
+    problem: Shooting,
+    watch: Watch,
+    box: tuple[FloatArray, FloatArray, FloatArray],
+    tolerance: float,
+    max_iterations: int,
+    curvature: Curvature,
+) -> Solution:
+    """Run IPOPT once from a start within bounds."""
+    start, lower, upper = box
+    solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature)
+    if not watch.interrupt.pressed:
+        result = solver(x0=start, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+    if watch.interrupt.pressed:
         raise KeyboardInterrupt
     unknowns = np.asarray(result["x"], float).ravel()
     words, success = _in_words(str(solver.stats()["return_status"]), watch)
@@ -112,14 +141,9 @@ def solve(
 
 
 def _ipopt(
-    problem: Shooting,
-    stop: Stop,
-    tolerance: float,
-    max_iterations: int,
-    progress: Callable[[Progress], None] | None,
-    interrupt: Interrupt,
-) -> tuple[ca.Function, Watch, list[Oracle]]:
-    """Build the solver; also return what watches it, and the callbacks, which must outlive it."""
+    problem: Shooting, watch: Watch, tolerance: float, max_iterations: int, curvature: Curvature
+) -> tuple[ca.Function, list[Oracle]]:
+    """Build the solver; also return the callbacks, which must outlive it."""
     n, m = problem.n_unknowns, problem.n_gaps
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
     gaps = ca.Sparsity.dense(m, 1)
@@ -129,17 +153,6 @@ def _ipopt(
 
     def flat(values: ca.DM) -> FloatArray:
         return np.asarray(values, float).ravel()
-
-    corrections: list[FloatArray] = []
-
-    def curvature(x: FloatArray, lam_f: float, lam_g: FloatArray) -> FloatArray:
-        # In long records Gauss-Newton has often arrived before the correction would have paid for its passes. Near
-        # the optimum the correction hardly changes: made anew every few iterations.
-        patience = _SLOW if problem.n_samples > _LONG else 1
-        if watch.near >= patience and (watch.near - patience) % _REFRESH == 0:
-            corrections[:] = [problem.correction(x, lam_f, lam_g)]
-        entries = lam_f * problem.at(x).hessian
-        return entries + corrections[0] if corrections else entries
 
     def at(x: ca.DM) -> Iterate:
         return problem.at(flat(x))
@@ -166,7 +179,6 @@ def _ipopt(
         [("triu_hess_gamma_x_x", hessian)],
         lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)))],
     )
-    watch = Watch(problem, stop, progress, n, m, interrupt)
     x = ca.MX.sym("x", n)
     f, g = value(x)
     options: dict[str, Any] = {
@@ -195,7 +207,7 @@ def _ipopt(
         },
     }
     solver = ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options)
-    return solver, watch, [value, gradient, jac, hess]
+    return solver, [value, gradient, jac, hess]
 
 
 def _in_words(status: str, watch: Watch) -> tuple[str, bool]:

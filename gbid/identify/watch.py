@@ -18,8 +18,9 @@ PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
 PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too
-_NEAR = 1.0  # standard deviations: a step below it says that the basin of the minimum is reached
-_NEAR_GAP = 1e-2
+_NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
+_NEAR_GAP = 0.1
+_AHEAD = 7  # iterations that are worth a change of method
 _STEP_BEFORE = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
@@ -64,22 +65,25 @@ class Watch(ca.Callback):
         problem: Shooting,
         stop: Stop,
         progress: Callable[[Progress], None] | None,
-        n: int,
-        m: int,
         interrupt: Interrupt,
+        *,
+        earlier: Sequence[Progress] = (),
+        changes_over: bool = False,
     ) -> None:
         ca.Callback.__init__(self)
-        self._problem, self._stop, self._progress, self._interrupt = problem, stop, progress, interrupt
+        self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
+        n, m = problem.n_unknowns, problem.n_gaps
         sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
         self._shapes = [
             ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
             for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
         ]
         self.history: list[Progress] = []
+        self._earlier, self._changes_over = tuple(earlier), changes_over
         self.settled = False
         self.exact = False
         self.at_rest = False
-        self.near = 0
+        self.creeping = False
         self.unstable = 0
         self._previous: FloatArray | None = None
         self._sigma = np.inf
@@ -107,20 +111,23 @@ class Watch(ca.Callback):
             step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
             sigma = self._in_standard_deviations(x, moved)
         gap = float(np.abs(gaps).max(initial=0.0))
-        now = Progress(len(self.history), float(values["f"]), gap, step, sigma)
+        done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
+        now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
         self.history.append(now)
-        if self._progress is not None:
+        if self._progress is not None and not (self._earlier and len(self.history) == 1):
             self._progress(now)
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
         # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
         small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
         self.at_rest = small and self._stop == "tolerance"
-        self.near += int(self.near > 0 or (sigma < _NEAR and now.gap < _NEAR_GAP))
+        near = sigma < _NEAR and now.gap < _NEAR_GAP
+        self.creeping = self._changes_over and near and _iterations_ahead(sigma, self._sigma) > _AHEAD
+        self.creeping = self.creeping and self._radius(x) < 1
         self._previous, self._sigma = x, sigma
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
-        ended = self.settled or self.exact or self.at_rest
-        return [int(self._interrupt.pressed or ended or self.unstable >= PATIENCE)]
+        ended = self.settled or self.exact or self.at_rest or self.creeping
+        return [int(self.interrupt.pressed or ended or self.unstable >= PATIENCE)]
 
     def _radius(self, x: FloatArray) -> float:
         theta, _ = self._problem.unpack(x)
@@ -132,3 +139,10 @@ class Watch(ca.Callback):
         twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
         square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
         return float(np.sqrt(max(square, 0.0) * self._problem.likelihood_size)) if np.isfinite(square) else np.inf
+
+
+def _iterations_ahead(sigma: float, before: float) -> float:
+    """Count the iterations until steps are below the tolerance, were they to shrink as the last one did."""
+    if not sigma < before:
+        return np.inf
+    return float(np.log(max(sigma / _STEP_TOLERANCE, 1.0)) / np.log(before / max(sigma, 1e-300)))

@@ -15,7 +15,7 @@ from gbid.structure.parameter import Parameter, Values
 
 AXES = ("x", "y")
 PAIRS = ("xx", "xy", "yx", "yy")
-DisturbanceGain = Literal["full", "diagonal", "none"]
+DisturbanceGain = Literal["full", "diagonal", "states", "none"]
 
 KEY_PARAMETERS = (
     *(f"{letter}_{pair}" for letter in "kdb" for pair in PAIRS),
@@ -41,8 +41,9 @@ class RotorBearing:
     delay : {"pade", "exact"}
         Delays as all-pass filters of `pade_order`, or exact (fractions of a sample included); then there are
         no delay states, and a model of it simulates and answers in frequency with the exact delay.
-    disturbance_gain : {"full", "diagonal", "none"}
-        Which entries of ``B_d`` are estimated.
+    disturbance_gain : {"full", "diagonal", "states", "none"}
+        Which entries of ``B_d`` are estimated: all four, two, or none; "states" lets disturbances enter the position
+        rows as well, by ``B_p`` (bp_xx to bp_yy [1/s]), as a steady Kalman filter does: for a rotor that is shaken.
     """
 
     pade_order: int = 1
@@ -58,18 +59,22 @@ class RotorBearing:
             raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
         if self.delay not in ("pade", "exact"):
             raise UsageError(f"{self.name}: delay = {self.delay!r}; choose 'pade' or 'exact'")
-        if self.disturbance_gain not in ("full", "diagonal", "none"):
+        if self.disturbance_gain not in ("full", "diagonal", "states", "none"):
             raise UsageError(
-                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; choose 'full', 'diagonal' or 'none'"
+                f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; "
+                "choose 'full', 'diagonal', 'states' or 'none'"
             )
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gain bd."""
+        """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gains bd and bp."""
         coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
         # A delay at or below zero has an unstable Pade pole or none; a microsecond is far below a sample.
         delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
-        gains = [Parameter(name, 0.0, -inf, inf, unit="1/s^2") for name in self._gain_names()]
+        gains = [
+            Parameter(name, 0.0, -inf, inf, unit="1/s" if name.startswith("bp") else "1/s^2")
+            for name in self._gain_names()
+        ]
         return (*coefficients, *delays, *gains)
 
     def matrices(self, p: Values) -> dict[str, Any]:
@@ -84,7 +89,7 @@ class RotorBearing:
                 "delay": ca.vertcat(p["tau_x"], p["tau_y"]),
                 "C": ca.horzcat(eye, zero),
                 "D": zero,
-                "K": ca.vertcat(zero, self._gain(p)),
+                "K": self._gain(p),
             }
         n_tau = self.pade_order
         delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
@@ -99,16 +104,21 @@ class RotorBearing:
         )
         B = ca.vertcat(zero, input_gain @ D_tau, B_tau)
         C = ca.horzcat(eye, ca.SX(2, 2 + 2 * n_tau))
-        return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(zero, self._gain(p), ca.SX(2 * n_tau, 2))}
+        return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(self._gain(p), ca.SX(2 * n_tau, 2))}
 
     def _gain_names(self) -> list[str]:
-        pairs = {"full": PAIRS, "diagonal": ("xx", "yy"), "none": ()}[self.disturbance_gain]
-        return [f"bd_{pair}" for pair in pairs]
+        velocities = [f"bd_{pair}" for pair in PAIRS]
+        return {
+            "full": velocities,
+            "diagonal": ["bd_xx", "bd_yy"],
+            "states": [*(f"bp_{pair}" for pair in PAIRS), *velocities],
+            "none": [],
+        }[self.disturbance_gain]
 
     def _gain(self, p: Values) -> Any:
-        entries = [p.get(f"bd_{pair}", 0) for pair in PAIRS]
-        rows = ca.vertcat(ca.horzcat(*entries[:2]), ca.horzcat(*entries[2:]))
-        return ca.sparsify(ca.SX(rows))
+        """Return the disturbance gain of positions and velocities, (4, 2)."""
+        entries = [[p.get(f"{letter}_{axis}{error}", 0) for error in AXES] for letter in ("bp", "bd") for axis in AXES]
+        return ca.sparsify(ca.SX(ca.vertcat(*(ca.horzcat(*row) for row in entries))))
 
 
 def _square(p: Values, letter: str) -> Any:

@@ -1,0 +1,154 @@
+"""Fits whose errors are coloured: they converge, and a gain of full height takes the bias of a shaken rotor away."""
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.errors import UsageError
+from gbid.identify.assembly import assemble
+from gbid.identify.curvature import StructuredSecant
+from gbid.identify.data import gather
+from gbid.identify.one_window import in_one_window, in_windows
+from gbid.identify.problem import build_problem
+from gbid.rig import FilmStiffening, Machine, Prbs, ProcessNoise, SensorChain, Unbalance, record
+from gbid.structure import evaluate
+
+PUBLISHED = gbid.load_model("theisen2016")
+TRUE = PUBLISHED.key_parameters(6.0, 0.0)
+NO_RUNOUT = SensorChain(
+    runout_amplitude=np.zeros((2, 1)), runout_phase=np.zeros((2, 1)), offset_p=(0.0, 0.0), offset_u=(0.0, 0.0)
+)
+
+
+def shaken(seed=3, seconds=5.0, **effects):
+    machine = Machine.from_parameters(TRUE, PUBLISHED.actuators, Unbalance(), NO_RUNOUT, **effects)
+    conditions = {"pressure_bar": 6.0, "speed_rpm": 0.0}
+    return record(machine, Prbs(seconds), conditions=conditions, seed=seed, name=f"run-{seed}")
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    return [shaken(seed, process_noise=ProcessNoise(0.01)) for seed in (3, 4)]
+
+
+@pytest.fixture(scope="module")
+def fits(noisy):
+    return {
+        gain: gbid.fit(gbid.RotorBearing(delay="exact", disturbance_gain=gain), noisy[0]) for gain in ("full", "states")
+    }
+
+
+def off(result):
+    """Distance from the truth in standard deviations."""
+    return np.array([(result.parameters[name] - TRUE[name]) / result.std[name] for name in TRUE])
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [
+        {"process_noise": ProcessNoise(0.003)},
+        {"stiffening": FilmStiffening()},
+    ],
+    ids=["noise", "stiffening"],
+)
+def test_coloured_errors_converge_at_the_first_window_to_a_minimum(effect):
+    recording = shaken(**effect)
+    structure = gbid.RotorBearing()
+    result = gbid.fit(structure, recording)
+    assert result.success
+    assert not any("did not converge" in note for note in result.notes)
+    # From elsewhere, and with other windows, the same minimum.
+    start = {"k_xx": 1.01 * result.parameters["k_xx"], "bd_yy": 0.9 * result.parameters["bd_yy"]}
+    again = gbid.fit(structure, recording, start=start, window=100)
+    assert again.loss == pytest.approx(result.loss, rel=1e-5)
+
+
+def test_the_paper_gain_is_biased_by_process_noise_and_the_full_height_is_not(fits):
+    assert fits["full"].success
+    assert fits["states"].success
+    assert np.abs(off(fits["full"])).max() > 4
+    assert np.abs(off(fits["states"])).max() < 3
+    assert fits["states"].loss < 0.1 * fits["full"].loss
+
+
+def test_the_full_height_predicts_another_recording_as_well_as_simulation_focus(noisy, fits):
+    simulated = gbid.fit(gbid.RotorBearing(delay="exact"), noisy[0], focus="simulation")
+    percent = {
+        name: gbid.cross_validate(result, noisy[1]).fit_percent.mean()
+        for name, result in {**fits, "simulation": simulated}.items()
+    }
+    assert percent["states"] > percent["full"] + 0.5
+    assert percent["states"] == pytest.approx(percent["simulation"], abs=0.5)
+
+
+@pytest.mark.parametrize("delay", ["pade", "exact"])
+def test_full_height_fills_the_positions_rows(delay):
+    structure = gbid.RotorBearing(delay=delay, disturbance_gain="states")
+    names = [q.name for q in structure.parameters][14:]
+    values = {**TRUE, **{name: float(i + 1) for i, name in enumerate(names)}}
+    K = evaluate(structure, values).K
+    expected = np.zeros((len(K), 2))
+    expected[:4] = np.arange(1.0, 9.0).reshape(4, 2)
+    np.testing.assert_array_equal(K, expected)
+    assert {q.name: q.unit for q in structure.parameters}["bp_xy"] == "1/s"
+
+
+def test_an_unknown_gain_is_refused():
+    with pytest.raises(UsageError, match="'states'"):
+        gbid.RotorBearing(disturbance_gain="all")
+
+
+@pytest.fixture(scope="module")
+def problem():
+    """Two records of which one has samples left out, in windows of 100 samples, with a gain that is not zero."""
+    recordings = [shaken(seed, seconds=0.5, process_noise=ProcessNoise(0.01)) for seed in (3, 4)]
+    structure = gbid.RotorBearing()
+    begin = {**TRUE, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
+    data = gather(recordings, ("u",), ("p",), minimum=50)
+    assembly = assemble(
+        structure,
+        structure.parameters,
+        begin,
+        data,
+        intersample="foh",
+        focus="prediction",
+        horizon=1,
+        offsets=False,
+        local={},
+        left_out={"run-4": [(700, 900)]},
+        window=100,
+        engine="numpy",
+    )
+    return build_problem(assembly, data, "trace", None, begin, {}, scaling=True)
+
+
+def test_windows_joined_and_cut_again_are_the_same_problem(problem):
+    cut_up, unknowns = problem
+    joined, kept = in_one_window(cut_up)
+    assert joined.n_windows == 4  # one record whole, one in three pieces: before, within and after what is left out
+    assert len(joined.links) == 2
+    point = unknowns[kept]
+    again = in_windows(cut_up, joined, point)
+    np.testing.assert_allclose(again[kept], point, rtol=1e-12)
+    whole, parts = joined.at(point), cut_up.at(again)
+    assert parts.cost == pytest.approx(whole.cost, rel=1e-12)
+    between = np.isin(cut_up.links[:, 1], (kept[cut_up.n_theta :: cut_up.n_states] - cut_up.n_theta) // cut_up.n_states)
+    gaps = parts.gaps.reshape(-1, cut_up.n_states)
+    np.testing.assert_allclose(gaps[~between], 0, atol=1e-9)  # within pieces they are closed
+    np.testing.assert_allclose(gaps[between].ravel(), whole.gaps, atol=1e-9)
+
+
+def test_the_secant_hessian_explains_the_last_step(problem):
+    joined, kept = in_one_window(problem[0])
+    point, lam = problem[1][kept], np.linspace(-0.1, 0.1, joined.n_gaps)
+    step = np.zeros_like(point)
+    step[: joined.n_theta] = 1e-3 * np.random.default_rng(0).standard_normal(joined.n_theta)
+    secant = StructuredSecant(joined)
+    secant(point, 1.0, lam)
+    entries = secant(point + step, 1.0, lam)
+    pattern, n = joined.hessian_pattern, joined.n_theta
+    hessian = np.zeros((len(point), len(point)))
+    hessian[pattern.rows, pattern.columns] = hessian[pattern.columns, pattern.rows] = entries
+    change = joined.lagrangian_gradient(joined.at(point + step), 1.0, lam)
+    change = change - joined.lagrangian_gradient(joined.at(point), 1.0, lam)
+    np.testing.assert_allclose((hessian @ step)[:n], change[:n], rtol=1e-7, atol=1e-9 * np.abs(change).max())
