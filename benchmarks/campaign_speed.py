@@ -25,9 +25,8 @@ from gbid.campaign.collect import collect
 from gbid.campaign.run import run_campaign, working
 from gbid.experiment.keys import writing_keyed
 from gbid.experiment.load import Experiment, load_experiment
-from gbid.experiment.stages import Job, Outcome, rig_tasks
+from gbid.experiment.stages import Job, Outcome, Silent, perform, rig_tasks
 from gbid.experiment.stages.fitting import fit_arguments
-from gbid.experiment.stages.performing import perform
 from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.recording import load_recording, save_recording
@@ -76,23 +75,13 @@ def time_of_a_fit(experiment: Experiment, repeats: int = 10) -> float:
 
 
 @dataclass
-class Meter:
+class Meter(Silent):
     """A reporter that looks at processor time and memory of the runner and its workers as the fits come in."""
 
     total: int
     processes: Any = None
     done: int = 0
-    began: float = 0.0
     looks: list[dict[str, float]] = field(default_factory=list)
-
-    def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        self.began = time.perf_counter()
-
-    def begin(self, stage: str, item: str) -> None:
-        pass
-
-    def iteration(self, progress: Any) -> None:
-        pass
 
     def end(self, outcome: Outcome) -> None:
         if outcome.stage == "fit":
@@ -105,7 +94,7 @@ class Meter:
         self.looks.append(
             {
                 "done": self.done,
-                "wall_s": time.perf_counter() - self.began,
+                "wall_s": time.perf_counter(),
                 "cpu_s": sum(_cpu(pid) for pid in ids),
                 "runner_cpu_s": _cpu(ids[0]),
                 "runner_mb": _resident(ids[0]),

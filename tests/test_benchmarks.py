@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import fit_speed, table
+from benchmarks import campaign_speed, fit_speed, table
 from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, sampled
 from benchmarks.floor import operations_per_sample
 from gbid.identify.kernel_source import KernelPattern
@@ -30,6 +30,14 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert all(fit["success"] and fit["time_s"] > 0 and fit["memory_bytes"] >= 0 for fit in run["fits"])
     assert run["floor"]["kernel_s"] > run["floor"]["floor_s"]
     assert run["n_unknowns"] == N_UNKNOWNS == 24
+
+
+def test_campaign_of_a_few_fits(capsys: pytest.CaptureFixture[str]) -> None:
+    assert campaign_speed.main(["--fits", "12", "--engines", "serial", "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)
+    assert (row["engine"], row["fits"]) == ("serial", 12)
+    assert row["cpu_per_fit_ms"] > 0
+    assert row["runner_mb"] > 0
 
 
 def test_multiply_adds_of_a_full_pattern() -> None:

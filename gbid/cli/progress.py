@@ -13,6 +13,7 @@ from gbid.cli.tally import Tally
 from gbid.experiment.stages.common import Outcome, Reporter
 
 if TYPE_CHECKING:
+    from gbid.control.gain_result import SearchStep
     from gbid.identify import Progress
 
 EVERY = 10
@@ -20,6 +21,9 @@ EVERY = 10
 
 PAUSE = 10.0
 """Seconds between plain lines of a stage with many items."""
+
+SEARCH_PAUSE = 2.0
+"""Seconds between plain lines of a search for gains."""
 
 
 @contextmanager
@@ -39,7 +43,7 @@ class PlainReporter:
     """Lines for a log: one per result and one per so many iterations; of many results one now and then."""
 
     def __init__(self) -> None:
-        self._line, self._tally, self._said = _Line(), Tally(), 0.0
+        self._line, self._tally, self._said, self._searched = _Line(), Tally(), 0.0, 0.0
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
         """Say how much there is to do, when it is much."""
@@ -57,6 +61,13 @@ class PlainReporter:
         text = self._line.of(progress)
         if progress.iteration and progress.iteration % EVERY == 0 and not self._tally.many:
             _print(text)
+
+    def search(self, step: SearchStep) -> None:
+        """Print a step now and then."""
+        now = time.monotonic()
+        if now - self._searched > SEARCH_PAUSE and not self._tally.many:
+            self._searched = now
+            _print(self._line.of_search(step))
 
     def end(self, outcome: Outcome) -> None:
         """Print what became of the item; of one among many only that it failed."""
@@ -96,6 +107,11 @@ class TerminalReporter:
         if not self._tally.many:
             self._status.update(text)
 
+    def search(self, step: SearchStep) -> None:
+        """Show the step."""
+        if not self._tally.many:
+            self._status.update(self._line.of_search(step))
+
     def end(self, outcome: Outcome) -> None:
         """Leave a line with what became of the item; of one among many only when it failed."""
         tally = self._tally
@@ -122,6 +138,11 @@ class _Line:
         step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
         where = f"iteration {progress.iteration}, cost {progress.cost:.5g}, gap {progress.gap:.0e}"
         return f"{self.label}{which}: {where}{step}"
+
+    def of_search(self, step: SearchStep) -> str:
+        """Say how far a search for gains has come."""
+        excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
+        return f"{self.label}: {step.stage}, {step.count} designs, best {step.value:.5g}{excess}"
 
 
 def _outcome(outcome: Outcome) -> str:

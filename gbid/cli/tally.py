@@ -53,13 +53,14 @@ class Tally:
         """Whether an outcome gets a line of its own: the first failures of a stage, or all when it has few items."""
         if not self.many or outcome.stage != self.stage:
             return True
-        return outcome.state == "failed" and not outcome.before and self.failed <= NAMED
+        told = outcome.before or outcome.cause == "input"
+        return outcome.state == "failed" and not told and self.failed <= NAMED
 
     def opening(self) -> str:
         """Say what there is to do."""
         parts = [f"{self.todo} to make"]
         parts += [f"{self.there} there"] if self.there else []
-        parts += [f"{self.before} failed before"] if self.before else []
+        parts += [f"{self.before} failed already"] if self.before else []
         return f"{self.stage}: {', '.join(parts)}"
 
     def text(self) -> str:

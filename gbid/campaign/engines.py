@@ -1,0 +1,81 @@
+"""Which engine runs the tasks."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Generator, Sequence
+from typing import Literal, get_args
+
+from gbid.errors import UsageError
+from gbid.experiment.stages import Engine, InTurn, Job, Outcome, Task
+
+EngineName = Literal["auto", "serial", "pool", "dask"]
+
+FEW = 8
+"""Below so many tasks of a stage the start of worker processes costs more than they gain."""
+
+
+def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> Engine:
+    """Make what runs tasks.
+
+    Parameters
+    ----------
+    name : {"auto", "serial", "pool", "dask"}
+        "serial" is this process; "pool" are processes of this machine; "auto" is this process for a few tasks and the
+        pool for many.
+    workers : int, optional
+        Number of processes; the processors that this process may use when not given.
+    scheduler : str, optional
+        Address of a Dask scheduler.
+
+    Returns
+    -------
+    Engine
+        To be closed after use.
+
+    Raises
+    ------
+    UsageError
+        For an unknown name, options that do not go together, or a scheduler that does not answer.
+    """
+    if name not in get_args(EngineName):
+        raise UsageError(f"engine {name!r}; choose {', '.join(get_args(EngineName))}")
+    if workers is not None and workers < 1:
+        raise UsageError(f"{workers} workers; give at least 1")
+    if scheduler is not None and name not in ("auto", "dask"):
+        raise UsageError(f"a scheduler is for the engine dask, not {name}; leave one of the two out")
+    if scheduler is not None and workers is not None:
+        raise UsageError("the scheduler knows how many workers it has; leave the number out")
+    count = workers or _processors()
+    if name == "dask" or scheduler is not None:
+        from gbid.campaign.dask_engine import DaskEngine
+
+        return DaskEngine(scheduler, count)
+    if name == "serial":
+        return InTurn()
+    from gbid.campaign.pool import ProcessPool
+
+    return ProcessPool(count) if name == "pool" else Auto(ProcessPool(count))
+
+
+class Auto:
+    """Runs a few tasks in this process and many on a pool; once that has been started, it runs any."""
+
+    def __init__(self, pool: Engine) -> None:
+        self._pool, self._started = pool, False
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run tasks; see `gbid.experiment.stages.Engine`."""
+        self._started = self._started or len(tasks) >= FEW
+        yield from (self._pool if self._started else InTurn()).outcomes(job, tasks)
+
+    def close(self) -> None:
+        """End the pool."""
+        self._pool.close()
+
+
+def _processors() -> int:
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1

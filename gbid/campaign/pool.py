@@ -1,0 +1,191 @@
+"""Worker processes on this machine, which may die without harm to the rest."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pickle
+import signal
+from collections import Counter, deque
+from collections.abc import Generator, Iterator, Sequence
+from dataclasses import dataclass
+from multiprocessing import connection as pipes
+from multiprocessing import get_context
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+
+from gbid.campaign.shipping import bare_job, bare_task
+from gbid.campaign.worker import READY, serve
+from gbid.errors import GbidError, NoSpaceError
+from gbid.experiment.stages import Job, Outcome, Task, fail, standing
+from gbid.experiment.stages.failures import Failure
+
+ATTEMPTS = 3
+"""How often a task may take its worker down before it counts as failed."""
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_PATIENCE = 3.0  # seconds for a worker to end
+
+
+@dataclass(eq=False)
+class _Worker:
+    process: BaseProcess
+    connection: Connection
+    ready: bool = False
+    number: int | None = None  # of the task that it runs
+
+
+class ProcessPool:
+    """Spawned processes, one BLAS thread each. They start with the first tasks and stay until the pool is closed.
+
+    A task whose worker dies is given to another one, at most `ATTEMPTS` times in all: then it has failed.
+
+    Parameters
+    ----------
+    n_workers : int
+    """
+
+    def __init__(self, n_workers: int) -> None:
+        self.n_workers = n_workers
+        self._workers: list[_Worker] = []
+
+    @property
+    def process_ids(self) -> list[int]:
+        """Process ids of the workers."""
+        return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run tasks; see `gbid.experiment.stages.Engine`.
+
+        Raises
+        ------
+        NoSpaceError
+            When the disk is full.
+        GbidError
+            When no worker can be started.
+        """
+        shipped = pickle.dumps(bare_job(job))
+        waiting, deaths, stillborn = deque(range(len(tasks))), Counter[int](), 0
+        try:
+            for worker in self._workers:
+                with contextlib.suppress(OSError):  # a worker that is gone is noticed when it is listened to
+                    worker.connection.send(shipped)
+            while waiting or any(worker.number is not None for worker in self._workers):
+                busy = sum(worker.number is not None for worker in self._workers)
+                self._start(min(self.n_workers, len(waiting) + busy), shipped)
+                for worker in self._workers:
+                    if worker.ready and worker.number is None and waiting:
+                        self._give(worker, waiting.popleft(), job, tasks)
+                for worker in self._ready():
+                    try:
+                        message = worker.connection.recv()
+                    except (EOFError, OSError):
+                        number, how = worker.number, self._bury(worker)
+                        if number is not None:
+                            deaths[number] += 1
+                            outcome = self._after_death(job, tasks[number], deaths[number], how)
+                            if outcome is None:
+                                waiting.append(number)
+                            else:
+                                yield number, outcome
+                        elif not worker.ready:
+                            stillborn += 1
+                            if stillborn == ATTEMPTS:
+                                raise GbidError(f"worker processes cannot start ({how}); try --engine serial") from None
+                        continue
+                    if message == READY:
+                        worker.ready, stillborn = True, 0
+                        continue
+                    worker.number = None
+                    number, result = message
+                    if isinstance(result, str):
+                        raise NoSpaceError(result)
+                    yield number, result
+        finally:
+            self._stop([worker for worker in self._workers if worker.number is not None])
+
+    def close(self) -> None:
+        """End the workers."""
+        self._stop(list(self._workers))
+
+    def _start(self, count: int, shipped: bytes) -> None:
+        context = get_context("spawn")
+        for _ in range(count - len(self._workers)):
+            ours, theirs = context.Pipe()
+            process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
+            with _environment(dict.fromkeys(_ONE_THREAD, "1")), _without_interrupts():
+                process.start()
+            theirs.close()
+            self._workers.append(_Worker(process, ours))
+            with contextlib.suppress(OSError):
+                ours.send(shipped)
+
+    def _give(self, worker: _Worker, number: int, job: Job, tasks: Sequence[Task]) -> None:
+        worker.number = number
+        job.reporter.begin(tasks[number].stage, tasks[number].item)
+        with contextlib.suppress(OSError):
+            worker.connection.send((number, bare_task(tasks[number])))
+
+    def _ready(self) -> list[_Worker]:
+        """Wait until a worker has something to say, or is gone."""
+        heard = pipes.wait([worker.connection for worker in self._workers])
+        return [worker for worker in self._workers if worker.connection in heard]
+
+    def _bury(self, worker: _Worker) -> str:
+        """Forget a worker that died; tell how."""
+        self._workers.remove(worker)
+        worker.connection.close()
+        worker.process.join(_PATIENCE)
+        code = worker.process.exitcode
+        if code is not None and code < 0:
+            return f"signal {signal.Signals(-code).name}"
+        return f"exit code {code}"
+
+    def _after_death(self, job: Job, task: Task, times: int, how: str) -> Outcome | None:
+        """Outcome of a task whose worker died; None when it is to be tried again."""
+        there = standing(job, task)
+        if there is not None and there.state == "kept":
+            return there
+        if times < ATTEMPTS:
+            return None
+        text = f"its process died {times} times ({how}); SIGKILL mostly means that memory was short"
+        return fail(job, task, Failure(task.key, "crash", text))
+
+    def _stop(self, workers: list[_Worker]) -> None:
+        for worker in workers:
+            worker.process.terminate()
+            worker.connection.close()
+            self._workers.remove(worker)
+        for worker in workers:
+            worker.process.join(_PATIENCE)
+            if worker.process.is_alive():
+                worker.process.kill()
+                worker.process.join()
+
+
+@contextlib.contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Start processes in the block that never hear of Ctrl-C, which goes to all processes of a terminal."""
+    if not hasattr(signal, "pthread_sigmask"):  # not on every system
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+@contextlib.contextmanager
+def _environment(values: dict[str, str]) -> Iterator[None]:
+    """Set variables that processes started in the block are born with."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -1,0 +1,45 @@
+"""What travels to another process: the job without positions and reporter, and a task as it is run there."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from ruamel.yaml.comments import CommentedMap
+
+from gbid.errors import NoSpaceError
+from gbid.experiment.stages import Job, Outcome, Task, perform, standing
+from gbid.yaml_file import YamlFile
+
+
+def bare_job(job: Job) -> Job:
+    """Return the job as workers need it: absolute paths, no positions in the YAML, nobody to report to."""
+    experiment = job.experiment
+    file = YamlFile(experiment.file.path.resolve(), {}, CommentedMap())
+    there = replace(experiment, file=file, results=experiment.results.resolve())
+    vars(there)["recordings"] = experiment.recordings  # found once: a folder may have other files by now
+    return Job(there, job.overwrite, retry=job.retry)
+
+
+def bare_task(task: Task) -> Task:
+    """Return the task with an absolute path."""
+    return replace(task, path=Path(task.path).resolve())
+
+
+def attempt(job: Job, task: Task) -> Outcome | str:
+    """Run a task in a worker.
+
+    Returns
+    -------
+    Outcome or str
+        The text of the error when no space is left. A result that a worker finished just before it died counts as
+        made.
+    """
+    if task.path.exists():
+        there = standing(job, task)
+        if there is not None and there.state == "kept":
+            return replace(there, state="made")
+    try:
+        return perform(job, task)
+    except NoSpaceError as error:
+        return str(error)

@@ -1,0 +1,103 @@
+"""A campaign on Dask: two local workers, of which one is killed."""
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import campaign_files as files
+import pytest
+from campaign_files import left_over, rows_of, task, write_springs
+from experiment_files import gbid
+
+from gbid.campaign.engines import make_engine
+from gbid.campaign.run import run_campaign, working
+from gbid.errors import NoSpaceError, UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import Job, run_tasks
+
+WorkerPlugin = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])").WorkerPlugin
+FOLDER = str(Path(files.__file__).parent)
+pytestmark = [pytest.mark.filterwarnings("ignore:.*:ResourceWarning"), pytest.mark.filterwarnings("ignore:unclosed")]
+
+
+@pytest.fixture(scope="module")
+def engine():
+    made = make_engine("dask", 2)
+    yield made
+    made.close()
+
+
+class FindTasks(WorkerPlugin):
+    """Lets workers, also those that come later, import the tasks of the tests."""
+
+    def setup(self, worker):
+        sys.path.insert(0, FOLDER)
+
+
+class Killer:
+    """A reporter that kills one of the workers when the third fit is there."""
+
+    def __init__(self, engine):
+        self.engine, self.fits, self.victim = engine, 0, None
+
+    def expect(self, stage, todo, there, failed):
+        pass
+
+    def begin(self, stage, item):
+        pass
+
+    def end(self, outcome):
+        self.fits += outcome.stage == "fit"
+        if self.fits == 3 and self.victim is None:
+            self.victim = next(iter(self.engine.client.run(os.getpid).values()))
+            os.kill(self.victim, signal.SIGKILL)
+
+
+def test_one_of_two_workers_is_killed(engine, tmp_path):
+    one, two = (write_springs(tmp_path / name, 10) for name in ("one", "two"))
+    assert gbid("batch", one, "--engine", "serial") == 0
+    killer = Killer(engine)
+    with working(load_experiment(two), engine="serial") as job:
+        outcomes = run_campaign(Job(job.experiment, reporter=killer, engine=engine))
+    assert killer.victim is not None
+    assert [o.state for o in outcomes] == ["made"] * 20
+    assert gbid("batch", two, "--collect") == 0
+    tables = [rows_of(path.parent / "results" / "springs" / "table.csv") for path in (one, two)]
+    assert tables[0] == tables[1]
+    assert left_over(two.parent / "results") == []
+
+
+def test_a_scheduler_by_its_address(engine, tmp_path):
+    path = write_springs(tmp_path, 3)
+    assert gbid("batch", path, "--scheduler", engine.client.scheduler_info()["address"]) == 0
+    assert len(rows_of(tmp_path / "results" / "springs" / "table.csv")) == 3
+
+
+def test_failures_of_tasks_are_outcomes(engine, tmp_path):
+    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
+    engine.client.register_plugin(FindTasks(), name="find-tasks")
+    kinds = {"a": files.write_number, "e": files.refuse, "f": files.defect}
+    a, e, f = run_tasks(job, [task(tmp_path, item, write) for item, write in kinds.items()])
+    assert (a.state, e.cause, f.cause) == ("made", "data", "defect")
+    with pytest.raises(NoSpaceError):
+        run_tasks(job, [task(tmp_path, "b", files.full_disk)])
+
+
+@pytest.mark.slow
+def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(engine, tmp_path):
+    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
+    engine.client.register_plugin(FindTasks(), name="find-tasks")
+    tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
+    tasks[3] = task(tmp_path, "3", files.die)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbid.campaign.dask_engine._JOURNEYS", 2)  # four tasks travel together
+        outcomes = run_tasks(job, tasks)
+    assert [o.state for o in outcomes] == ["made"] * 3 + ["failed"] + ["made"] * 12
+    assert outcomes[3].cause == "crash"
+
+
+def test_no_scheduler_answers(monkeypatch):
+    monkeypatch.setattr("gbid.campaign.dask_engine._PATIENCE", 0.5)
+    with pytest.raises(UsageError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        make_engine("dask", scheduler="tcp://127.0.0.1:9")
