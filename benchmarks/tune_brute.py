@@ -103,7 +103,7 @@ def brute_force(loops: Loops, cap: float | None, floor: float, polish: int = 20)
                 "xatol": 1e-9,
                 "fatol": 1e-10,
                 "maxfev": 250,
-                "initial_simplex": start + [[0, 0], [0.01, 0], [0, 0.01]],
+                "initial_simplex": start + np.array([[0, 0], [0.01, 0], [0, 0.01]]),
             },
         )
         if -found.fun > best:

@@ -31,7 +31,8 @@ from gbid.control.maximise import maximise_damping
 from gbid.control.norm import Peak, peak_gain
 from gbid.control.pareto_front import ParetoFront, pareto
 from gbid.control.point_assessment import PointAssessment, smallest_damping
-from gbid.control.ringdown import RingDown, fit_ringdown
+from gbid.control.ringdown import fit_ringdown
+from gbid.control.ringdown_result import RingDown
 from gbid.control.sampled import SampledLoop, exact_plant, sampled_loop
 from gbid.control.sampling import sample_controller, sample_plant
 from gbid.control.scheduled import Scheduled, controller_at, scheduled
@@ -102,6 +103,6 @@ __all__ = [
     "static_force_gain",
     "static_stiffness_ratio",
     "study_impacts",
-    "validate_impact",
     "tune",
+    "validate_impact",
 ]

@@ -1,0 +1,116 @@
+"""What a search for gains gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any, Literal
+
+Status = Literal["optimal", "iteration limit", "limits contradict", "no stabilising gains"]
+
+
+@dataclass(frozen=True)
+class SearchStep:
+    """One entry of a search's history.
+
+    Attributes
+    ----------
+    stage : str
+        ``"global"``, ``"polish"``, ``"shake"``, ``"cut"`` (a peak that the grid had missed) or ``"points"`` (worst
+        points added).
+    count : int
+        Designs evaluated so far.
+    value : float
+        Best aim so far, damping factor or decay rate [1/s].
+    violation : float
+        By how much its worst limit is exceeded, relative; 0 when all are kept.
+    """
+
+    stage: str
+    count: int
+    value: float
+    violation: float
+
+
+@dataclass(frozen=True)
+class WorstMode:
+    """The mode that holds a design back.
+
+    Attributes
+    ----------
+    where : str
+        Its loop: an operating point, or ``A[i]``.
+    frequency_hz : float
+        Natural frequency [Hz]; 0 for a pole at rest.
+    damping : float
+        Damping factor; -1 for a real pole that grows.
+    """
+
+    where: str
+    frequency_hz: float
+    damping: float
+
+
+@dataclass(frozen=True)
+class GainResult:
+    """Gains found by `gbid.maximise_damping` or `gbid.tune`, and what was verified of them.
+
+    Attributes
+    ----------
+    gains : dict of str to float
+    value : float
+        Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; from plain
+        eigenvalues of the final matrices.
+    objective : {"damping", "decay"}
+    status : str
+        ``"optimal"``: no step improved any more and all limits hold; ``"iteration limit"``;
+        ``"limits contradict"``: stable, but no design keeps all limits; ``"no stabilising gains"`` within the bounds.
+        With the last two, the gains are those of the least violation found.
+    success : bool
+        Whether the status is ``"optimal"``.
+    violation : float
+        By how much the worst limit is exceeded, relative; 0 when all are kept.
+    verified_on : str
+        What the result was checked against afterwards.
+    worst : WorstMode
+    active : tuple of str
+        Limits and bounds that hold the design back.
+    notes : tuple of str
+        What a user should know of the design, in sentences.
+    peak_sensitivity, peak_control, static_amplification : float, optional
+        Largest peaks of S_o and K S_o over frequency and loops, largest gain of S_o at rest; None where not known.
+    history : tuple of SearchStep
+    points : tuple of (pressure_bar, speed_rpm)
+        Operating points that the design was made for, worst points found among them; empty for plain matrices.
+    controller : Structure or Scheduled, optional
+        The structure that the gains belong to.
+    """
+
+    gains: Mapping[str, float]
+    value: float
+    objective: str
+    status: Status
+    success: bool
+    violation: float
+    verified_on: str
+    worst: WorstMode
+    active: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    peak_sensitivity: float | None = None
+    peak_control: float | None = None
+    static_amplification: float | None = None
+    history: tuple[SearchStep, ...] = field(default=(), repr=False)
+    points: tuple[tuple[float, float], ...] = field(default=(), repr=False)
+    controller: Any = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
+
+    # A read-only view cannot be pickled: workers get a plain dict.
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "gains": dict(self.gains)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        object.__setattr__(self, "gains", MappingProxyType(state["gains"]))

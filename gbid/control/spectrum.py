@@ -1,0 +1,101 @@
+"""Eigenvalues of many loops, their damping, and how both move with the gains."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+ComplexArray = npt.NDArray[np.complex128]
+
+REAL = 1e-9
+"""An eigenvalue with a smaller imaginary part, relative to its magnitude, counts as real."""
+
+
+def damping_factors(eigenvalues: ComplexArray) -> FloatArray:
+    """Damping factor ``-Re/|.|`` of oscillatory eigenvalues; 1 for real ones, which do not oscillate."""
+    magnitude = np.maximum(np.abs(eigenvalues), 1e-300)
+    return np.where(np.abs(eigenvalues.imag) > REAL * magnitude, -eigenvalues.real / magnitude, 1.0)
+
+
+@dataclass(frozen=True)
+class Eigensystem:
+    """Eigenvalues (m, n), right vectors as columns and left vectors as rows, ``W V = I``."""
+
+    values: ComplexArray
+    right: ComplexArray
+    left: ComplexArray
+
+    @classmethod
+    def of(cls, A: FloatArray) -> Eigensystem:
+        """Solve (m, n, n) matrices; one without a full set of vectors is moved by rounding first."""
+        values, right = np.linalg.eig(A)
+        try:
+            left = np.linalg.inv(right)
+        except np.linalg.LinAlgError:
+            n = A.shape[-1]
+            nudge = 1e-13 * np.linalg.norm(A, axis=(1, 2), keepdims=True) * np.random.default_rng(0).normal(size=(n, n))
+            values, right = np.linalg.eig(A + nudge)
+            left = np.linalg.inv(right)
+        return cls(values.astype(complex), right.astype(complex), left.astype(complex))
+
+    def slopes(self, loops: npt.NDArray[np.intp], which: npt.NDArray[np.intp], dA: FloatArray) -> ComplexArray:
+        """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
+        w, v = self.left[loops, which], self.right[loops, :, which]
+        return np.asarray(np.einsum("ki,kdij,kj->kd", w, dA[loops], v))
+
+
+def damping_slopes(eigenvalues: ComplexArray, slopes: ComplexArray) -> FloatArray:
+    """Return derivatives (k, d) of the damping factor from those of the eigenvalues."""
+    magnitude = np.abs(eigenvalues)[:, None]
+    along = (eigenvalues.conj()[:, None] * slopes).real
+    return np.asarray(-slopes.real / magnitude + eigenvalues.real[:, None] * along / magnitude**3)
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two eigenvalues that nearly meet, by their mean and ``((a - b)/2)^2``, which are smooth where they do."""
+
+    mean: complex
+    mean_slope: ComplexArray
+    gap: complex
+    gap_slope: ComplexArray
+
+
+def pair_of(system: Eigensystem, dA: FloatArray, loop: int, first: int, second: int) -> Pair | None:
+    r"""Mean and squared half distance of two eigenvalues with their derivatives.
+
+    On the invariant subspace ``A Q = Q M`` of the two, with left basis ``L Q = I``, both derivatives follow from
+    ``dM = L dA Q``: its trace is that of 2 mean, and ``gap = ((M_11 - M_22)/2)^2 + M_12 M_21``.
+
+    Parameters
+    ----------
+    system : Eigensystem
+    dA : (d, n, n) array
+        Derivatives of the loop's matrix.
+    loop, first, second : int
+        The loop and the two eigenvalues.
+
+    Returns
+    -------
+    Pair, or None when the subspace cannot be told from rounding.
+    """
+    which, n = [first, second], system.values.shape[1]
+    right = np.linalg.qr(system.right[loop][:, which])[0]
+    left = np.linalg.qr(system.left[loop][which].T)[0].T
+    overlap = left @ right
+    if n < 2 or np.linalg.cond(overlap) > 1e10:
+        return None
+    L = np.linalg.solve(overlap, left)
+    # A Q = V diag(values) (V^-1 Q), which needs no A
+    M = L @ (system.right[loop] * system.values[loop]) @ (system.left[loop] @ right)
+    dM = L @ dA @ right
+    half, d_half = (M[0, 0] - M[1, 1]) / 2, (dM[:, 0, 0] - dM[:, 1, 1]) / 2
+    return Pair(
+        complex(np.trace(M) / 2),
+        np.trace(dM, axis1=1, axis2=2) / 2,
+        complex(half**2 + M[0, 1] * M[1, 0]),
+        2 * half * d_half + dM[:, 0, 1] * M[1, 0] + M[0, 1] * dM[:, 1, 0],
+    )

@@ -1,0 +1,177 @@
+"""The general tuner on problems with known answers, and its derivatives against differences."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control.closed_matrices import families_of, loop_equations
+from gbid.control.limits import Limits
+from gbid.control.peaks import find_peaks, peak_slopes
+from gbid.control.pieces import Problem
+from gbid.control.spectrum import Eigensystem, pair_of
+
+
+def delayed_loop(a: float, tau: float) -> ca.Function:
+    """``x' = -a x + u(t - tau)``, ``u = -g x``, first-order Pade: ``(s + a)(1 + tau s/2) + g (1 - tau s/2) = 0``."""
+    g = ca.SX.sym("g")
+    c1 = 1 + a * tau / 2 - g * tau / 2
+    return ca.Function("A", [g], [ca.blockcat([[0, 1], [-2 / tau * (a + g), -2 / tau * c1]])])
+
+
+@pytest.mark.parametrize(("a", "tau"), [(1.0, 0.5), (0.2, 2.0), (30.0, 0.01)])
+def test_delayed_first_order_loop_has_its_best_decay_at_the_double_pole(a: float, tau: float) -> None:
+    # The quadratic's discriminant vanishes for q = g tau/2 = 3 + a tau/2 - sqrt(8 + 4 a tau), where the double pole
+    # lies at -(sqrt(8 + 4 a tau) - 2)/tau: below that gain the slow real pole is slower, above it the pair is.
+    root = np.sqrt(8 + 4 * a * tau)
+    result = gbid.maximise_damping(delayed_loop(a, tau), ["g"], 0.0, 4.0 / tau, "decay")
+    assert result.success
+    assert result.gains["g"] == pytest.approx((3 + a * tau / 2 - root) * 2 / tau, rel=1e-6)
+    assert result.value == pytest.approx((root - 2) / tau, rel=1e-5)
+
+
+def test_two_masses_and_a_spring_come_near_the_published_decay() -> None:
+    # D. Henrion, M. L. Overton, "Maximizing the closed loop asymptotic decay rate for the two-mass-spring control
+    # problem", 2006: the plant 1/(s^2 (s^2 + 2)) with a controller of order two decays at most with sqrt(15)/5. The
+    # closed loop is s^6 + x1 s^5 + (2 + x0) s^4 + 2 x1 s^3 + ...: its coefficients are free but for c3 = 2 c5, and
+    # (s + r)^6 has c3/c5 = 20 r^3 / 6 r = 2 for r = sqrt(15)/5. Six eigenvalues meet there, which moves them by
+    # the sixth root of any error; the tuner follows meetings of two.
+    g = ca.SX.sym("g", 5)
+    x1, x0, y2, y1, y0 = ca.vertsplit(g)
+    A = ca.SX.zeros(6, 6)
+    A[:5, 1:] = ca.SX.eye(5)
+    A[5, :] = -ca.horzcat(y0, y1, 2 * x0 + y2, 2 * x1, 2 + x0, x1)
+    function = ca.Function("A", [g], [A])
+    best = np.sqrt(15) / 5
+    known = [6 * best, 15 * best**2 - 2, 15 * best**4 - 2 * (15 * best**2 - 2), 6 * best**5, best**6]
+    assert np.poly(np.array(function(known))) == pytest.approx(np.poly([-best] * 6), rel=1e-9)
+    result = gbid.maximise_damping(function, ["x1", "x0", "y2", "y1", "y0"], -10, 10, "decay", starts=8)
+    assert 0.88 * best < result.value <= best + 1e-6
+    assert np.linalg.eigvals(np.array(function(list(result.gains.values())))).real.max() == pytest.approx(-result.value)
+
+
+def test_functions_of_several_sizes_are_tuned_together() -> None:
+    g = ca.SX.sym("g", 2)
+    # two oscillators with damping g0/2 and 1 - g0/2, and a third that wants g1 = 1 (damping 1 - (g1 - 1)^2)
+    first = ca.Function("first", [g], [ca.blockcat([[0, 1], [-1, -g[0]]])])
+    second = ca.Function("second", [g], [ca.blockcat([[0, 1], [-1, -(2 - g[0])]])])
+    third = ca.diagcat(ca.blockcat([[0, 1], [-4, -4 * (0.9 - (g[1] - 1) ** 2)]]), -7)
+    result = gbid.maximise_damping([first, second, ca.Function("third", [g], [third])], ["a", "b"], 0, 2)
+    assert result.success
+    assert result.gains["a"] == pytest.approx(1.0, abs=1e-7)
+    assert result.value == pytest.approx(0.5, abs=1e-7)
+    assert 0.9 - (result.gains["b"] - 1) ** 2 >= 0.5 - 1e-7
+
+
+def test_real_poles_that_grow_are_no_solution() -> None:
+    # s^2 + 2 s + (1 - g): without oscillation for g > 0, but unstable for g > 1
+    g = ca.SX.sym("g")
+    A = ca.Function("A", [g], [ca.blockcat([[0, 1], [g - 1, -2]])])
+    result = gbid.maximise_damping(A, ["g"], -3, 3)
+    assert result.success
+    assert result.value == pytest.approx(1.0)
+    assert -1e-6 <= result.gains["g"] < 1.0
+    slow = gbid.maximise_damping(A, ["g"], -3, 3, slowest_pole=0.5)
+    assert np.linalg.eigvals(np.array(A(slow.gains["g"]))).real.max() <= -0.5 + 1e-6
+
+
+def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
+    g = ca.SX.sym("g")
+    A = ca.Function("A", [g], [ca.blockcat([[0, 1], [-4, 1 - g]])])
+    result = gbid.maximise_damping(A, ["g"], -2, 0.2)
+    assert (result.status, result.success) == ("no stabilising gains", False)
+    assert result.gains["g"] == pytest.approx(0.2, abs=1e-6)  # the least unstable
+    assert result.worst.where == "A[0]"
+    assert result.worst.damping == pytest.approx(-0.2)
+    assert result.worst.frequency_hz == pytest.approx(1 / np.pi)
+    assert "A[0]" in result.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (([], ["g"], 0, 1), "at least one function"),
+        ((delayed_loop(1, 1), ["g", "h"], 0, 1), "one vector of 2 gains"),
+        ((delayed_loop(1, 1), ["g"], 1, 0), "lower first"),
+        ((delayed_loop(1, 1), ["g"], 0, np.inf), "finite"),
+        ((delayed_loop(1, 1), ["g"], [0, 0], 1), "bounds of shape"),
+        ((delayed_loop(1, 1), ["g"], 0, 1, "speed"), "objective"),
+        ((["A"], ["g"], 0, 1), "no casadi.Function"),
+    ],
+)
+def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
+    with pytest.raises(gbid.errors.UsageError, match=message):
+        gbid.maximise_damping(*arguments)
+
+
+def test_progress_and_history_agree() -> None:
+    seen: list[object] = []
+    result = gbid.maximise_damping(delayed_loop(1.0, 0.5), ["g"], 0, 8, "decay", progress=seen.append)
+    assert tuple(seen) == result.history
+    assert result.history[-1].value == pytest.approx(result.value)
+
+
+def paper_problem(controller: str, **limits: float) -> tuple[Problem, np.ndarray]:
+    model = gbid.load_model("theisen2016")
+    structure = gbid.controller_structure(controller)
+    family = loop_equations(model, structure).family(np.array([(6.0, 0.0), (3.0, 6000.0)]))
+    low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("lower", "upper"))
+    x = np.array([0.9, 0.7, 0.3, -0.2, -0.6, -0.9, 0.3, 0.35, 0.6, 0.9])[: len(low)]
+    return Problem((family,), Limits(peak_sensitivity=2.0, peak_control=1.8, **limits), low, high, 800.0), x
+
+
+@pytest.mark.parametrize("controller", ["P", "biquad"])
+def test_slopes_of_all_pieces_against_differences(controller: str) -> None:
+    problem, x = paper_problem(controller, static_amplification=1.5, slowest_pole=100.0)
+    pieces = problem.pieces(x)
+    assert {piece.kind for piece in pieces.limits} >= {"sensitivity", "control", "static"}
+    step = 1e-6
+    for i in range(len(x)):
+        sides = [problem.pieces(x + sign * step * np.eye(len(x))[i]) for sign in (1, -1)]
+        for group in ("aim", "limits"):
+            for piece in getattr(pieces, group):
+                alike = [
+                    min(
+                        (p for p in getattr(side, group) if (p.kind, p.loop) == (piece.kind, piece.loop)),
+                        key=lambda p, place=piece.place: abs(p.place - place),
+                    )
+                    for side in sides
+                ]
+                difference = (alike[0].value - alike[1].value) / (2 * step)
+                assert piece.slope[i] == pytest.approx(difference, rel=2e-4, abs=2e-5)
+
+
+def test_meeting_eigenvalues_have_smooth_mean_and_gap() -> None:
+    # s^2 + 2 s + 1 + g0 beside s = -5 + g1, in a random basis: mean -1, gap -g0
+    rng = np.random.default_rng(4)
+    T = rng.normal(size=(3, 3))
+    g = ca.SX.sym("g", 2)
+    A = T @ ca.diagcat(ca.blockcat([[0, 1], [-1 - g[0], -2]]), -5 + g[1]) @ np.linalg.inv(T)
+    family = families_of([ca.Function("A", [g], [A])], 2)[0]
+    derivatives = family.derivatives(np.array([1e-9, 0.0]))  # eigenvalues 3e-5 apart from their mean
+    system = Eigensystem.of(derivatives.A)
+    first, second = np.argsort(np.abs(system.values[0] + 1))[:2]
+    pair = pair_of(system, derivatives.dA[0], 0, int(first), int(second))
+    assert pair is not None
+    assert pair.mean == pytest.approx(-1.0, abs=1e-9)
+    assert pair.gap == pytest.approx(-1e-9, abs=1e-12)
+    assert pair.mean_slope == pytest.approx([0, 0], abs=1e-5)
+    assert pair.gap_slope == pytest.approx([-1, 0], abs=1e-4)
+
+
+def test_peaks_are_the_exact_norms() -> None:
+    problem, x = paper_problem("biquad")
+    family = problem.families[0]
+    derivatives = family.derivatives(x)
+    peaks = find_peaks(derivatives, Eigensystem.of(derivatives.A), slice(0, 2))
+    model = gbid.load_model("theisen2016")
+    names = [p.name for p in gbid.controller_structure("biquad").parameters]
+    controller = gbid.control.controller_model(
+        gbid.controller_structure("biquad"), dict(zip(names, map(float, x), strict=True))
+    )
+    for i, point in enumerate([(6.0, 0.0), (3.0, 6000.0)]):
+        exact = gbid.sensitivities(model.plant_at(*point), controller).peak("output")
+        assert peaks.value[peaks.loop == i].max() == pytest.approx(exact.value, rel=1e-7)
+    assert peak_slopes(derivatives, slice(0, 2), peaks)[1] == pytest.approx(peaks.value, rel=1e-9)

@@ -1,0 +1,289 @@
+"""Tuning on the published machine, against brute force, the paper's own design, and exact norms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gbid
+from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
+from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
+from gbid.errors import UsageError
+
+MODEL = gbid.load_model("theisen2016")
+ONE = [(6.0, 0.0)]
+DESIGN = {"kappa_x": 1.125, "kappa_y": 0.99}
+
+
+def damping(gains: dict[str, float], points: object = None) -> float:
+    """Smallest damping factor over points, from models built without the tuner."""
+    controller = p_controller(gains["kappa_x"], gains["kappa_y"])
+    worst = 1.0
+    for point in points or MODEL.operating_points:
+        loop = gbid.close_loop(MODEL.plant_at(*point), controller)
+        worst = min([worst if loop.is_stable() else -1.0, *(zeta for _, zeta in loop.modes())])
+    return worst
+
+
+def peak(structure: object, gains: dict[str, float], points: object) -> float:
+    return max(
+        gbid.sensitivities(MODEL.plant_at(*point), controller_at(structure, gains, *point)).peak("output").value
+        for point in points
+    )
+
+
+def test_the_papers_design_is_found_again() -> None:
+    cap = gbid.sensitivities(MODEL.plant_at(6, 0), p_controller(**DESIGN)).peak("output").value
+    assert cap == pytest.approx(2.283, abs=5e-4)
+    result = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=cap)
+    assert result.success
+    assert result.value == pytest.approx(0.318, abs=5e-4)
+    assert result.value >= damping(DESIGN, ONE) - 1e-9
+    assert result.peak_sensitivity <= cap * (1 + 1e-6)
+    assert result.value == pytest.approx(damping(dict(result.gains), ONE), abs=1e-12)
+
+
+def test_one_point_without_cap_is_the_best_of_grid_and_simplex() -> None:
+    result = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=None)
+    brute = brute_force(Loops(MODEL, ONE), None, result.value - 0.02)
+    assert brute.value <= result.value + 1e-5
+    assert brute.value >= result.value - 1e-5
+    assert "not limited" in result.notes[0]
+
+
+def test_fifteen_points_without_cap_lie_at_the_edge_and_say_so() -> None:
+    result = gbid.tune(MODEL, peak_sensitivity=None)
+    assert result.success
+    assert result.value == pytest.approx(0.649163, abs=1e-5)  # Nelder-Mead from a grid of 0.05 gives 0.6491632054
+    assert result.value == pytest.approx(damping(dict(result.gains)), abs=1e-12)
+    assert result.static_amplification > 100
+    assert "slowest pole at 3 bar, 0 rpm" in result.active
+    assert "makes a loop unstable" in result.notes[0]
+
+
+@pytest.mark.parametrize("points", [ONE, None], ids=["one", "fifteen"])
+def test_with_cap_no_point_of_a_grid_is_better(points: object) -> None:
+    result = gbid.tune(MODEL, operating_points=points)
+    assert result.success
+    used = points or list(MODEL.operating_points)
+    loops = Loops(MODEL, used)
+    gains = np.array(list(result.gains.values()))
+    assert all(loops.peak(gains, i, FINE) <= 2.6 * (1 + 1e-6) for i in range(len(used)))
+    better, _ = survivors(loops, 2.6, result.value + 1e-5, step=0.05)
+    assert len(better) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cap", [None, 2.6])
+@pytest.mark.parametrize("points", [ONE, None], ids=["one", "fifteen"])
+def test_brute_force_does_not_beat_it(points: object, cap: float | None) -> None:
+    result = gbid.tune(MODEL, operating_points=points, peak_sensitivity=cap)
+    brute = brute_force(Loops(MODEL, points or list(MODEL.operating_points)), cap, result.value - 0.03)
+    assert brute.value <= result.value + 1e-5
+    assert brute.value >= result.value - 1e-4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cap", [None, 2.6])
+@pytest.mark.parametrize("points", [ONE, None], ids=["one", "fifteen"])
+def test_fifty_seeds_of_random_starts_end_in_one_optimum(points: object, cap: float | None) -> None:
+    results = [gbid.tune(MODEL, operating_points=points, peak_sensitivity=cap, starts=8, seed=s) for s in range(50)]
+    values = np.array([result.value for result in results])
+    assert np.ptp(values) <= 1e-5
+    assert values.max() <= gbid.tune(MODEL, operating_points=points, peak_sensitivity=cap).value + 1e-5
+
+
+def test_random_starts_find_what_the_grid_finds() -> None:
+    grid = gbid.tune(MODEL, operating_points=ONE)
+    for seed in range(3):
+        assert gbid.tune(MODEL, operating_points=ONE, starts=8, seed=seed).value == pytest.approx(grid.value, abs=1e-5)
+
+
+def test_all_limits_hold_at_once() -> None:
+    free = gbid.tune(MODEL, operating_points=ONE)
+    result = gbid.tune(
+        MODEL,
+        operating_points=ONE,
+        peak_control=0.8 * free.peak_control,
+        static_amplification=2.0,
+        slowest_pole=150.0,
+        bounds={"kappa_x": (0.0, 1.0)},
+    )
+    assert result.success
+    assert result.value < free.value
+    assert result.peak_control <= 0.8 * free.peak_control * (1 + 1e-6)
+    assert result.static_amplification <= 2.0 * (1 + 1e-6)
+    loop = gbid.close_loop(MODEL.plant_at(6, 0), p_controller(**result.gains))
+    assert loop.poles().real.max() <= -150 * (1 - 1e-5)
+    assert result.gains["kappa_x"] <= 1.0
+
+
+def test_piezo_travel_limits_the_gains() -> None:
+    blow = HalfSine(peak_n=20.0)
+
+    def travel(gains: dict[str, float]) -> float:
+        plant, controller = MODEL.plant_at(6, 0), p_controller(**gains)
+        return max(
+            impact_response(plant, controller, HalfSine(20.0, direction_deg=a), duration_s=0.05).peak_r_m
+            for a in (0, 90)
+        )
+
+    free = gbid.tune(MODEL, operating_points=ONE)
+    allowed = 0.8 * travel(dict(free.gains))
+    result = gbid.tune(MODEL, operating_points=ONE, impact=blow, piezo_travel_m=2 * allowed)
+    assert result.success
+    assert travel(dict(result.gains)) <= allowed * (1 + 1e-5)
+    assert travel(dict(result.gains)) >= 0.99 * allowed
+    assert result.value < free.value
+    assert "piezo travel" in result.active
+
+
+def test_decay_and_a_corner_that_is_tuned() -> None:
+    damped = gbid.tune(MODEL, operating_points=ONE)
+    fast = gbid.tune(MODEL, operating_points=ONE, objective="decay")
+    slowest = [
+        -gbid.close_loop(MODEL.plant_at(6, 0), p_controller(**result.gains)).poles().real.max()
+        for result in (damped, fast)
+    ]
+    assert fast.value == pytest.approx(slowest[1])
+    assert slowest[1] >= slowest[0] - 1e-6
+    free = gbid.tune(MODEL, operating_points=ONE, controller=gbid.controller_structure("P", tune_corner=True))
+    assert free.value >= damped.value - 1e-6
+    assert set(free.gains) == {"kappa_x", "kappa_y", "lowpass_khz"}
+
+
+def test_scheduled_gains_are_never_worse_and_keep_their_bounds() -> None:
+    points = [(3.0, 0.0), (7.0, 0.0), (3.0, 6000.0), (7.0, 6000.0), (5.0, 4000.0)]
+    constant = gbid.tune(MODEL, operating_points=points)
+    structure = scheduled(gbid.controller_structure("P"), ("1", "P"))
+    result = gbid.tune(MODEL, operating_points=points, controller=structure, starts=2)
+    assert result.success
+    assert result.value >= constant.value + 0.02
+    assert peak(structure, dict(result.gains), points) <= 2.6 * (1 + 1e-6)
+    for point in points:
+        assert all(-1e-6 <= gain <= 3 + 1e-6 for gain in structure.gains(result.gains, *point).values())
+
+
+def test_whole_rectangle_has_no_worse_point() -> None:
+    result = gbid.tune(MODEL, operating_points="domain")
+    assert result.success
+    points = [(P, Omega) for P in np.linspace(3, 7, 13) for Omega in np.linspace(0, 6000, 13)]
+    assert damping(dict(result.gains), points) >= result.value - 1e-4
+    structure = gbid.controller_structure("P")
+    assert peak(structure, dict(result.gains), points[::3]) <= 2.6 * (1 + 1e-4)
+    assert result.value <= gbid.tune(MODEL).value + 1e-6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("cap", [None, 2.6])
+def test_certificate_of_the_rectangle_on_a_fine_grid(cap: float | None) -> None:
+    result = gbid.tune(MODEL, operating_points="domain", peak_sensitivity=cap)
+    grid = [(P, Omega) for P in np.linspace(3, 7, 200) for Omega in np.linspace(0, 6000, 200)]
+    A = np.array([loops_A(point, result.gains) for point in grid])
+    values = np.linalg.eigvals(A)
+    oscillates = np.abs(values.imag) > 1e-9 * np.abs(values)
+    factors = np.where(oscillates, -values.real / np.abs(values), 1.0)
+    assert values.real.max() < 0
+    assert factors.min() >= result.value - 1e-4
+    if cap is not None:
+        assert peak(gbid.controller_structure("P"), dict(result.gains), grid[::37]) <= cap * (1 + 1e-4)
+
+
+def loops_A(point: tuple[float, float], gains: object) -> np.ndarray:
+    return gbid.close_loop(MODEL.plant_at(*point), p_controller(**gains)).A
+
+
+def test_uncertain_plants_are_held_too() -> None:
+    rng = np.random.default_rng(2)
+    nominal = np.array(list(MODEL.key_parameters(6.0, 0.0).values()))
+    samples = 0.03 * nominal * rng.standard_normal((6, 14))
+    sure = gbid.tune(MODEL, operating_points=ONE)
+    result = gbid.tune(MODEL, operating_points=ONE, uncertainty=gbid.Uncertainty(samples=samples))
+    assert result.success
+    assert result.value < sure.value
+    assert "7 loops" in result.verified_on
+    # the same plants built another way
+    keys = list(MODEL.key_parameters(6.0, 0.0))
+    for sample in samples:
+        moved = {k: (c[0] + d, *c[1:]) for (k, c), d in zip(MODEL.coefficients.items(), sample, strict=True)}
+        plant = gbid.LPVModel("moved", moved, MODEL.domain, MODEL.actuators).plant_at(6, 0)
+        assert list(moved) == keys
+        loop = gbid.close_loop(plant, p_controller(**result.gains))
+        assert min(zeta for _, zeta in loop.modes()) >= result.value - 1e-9
+        assert gbid.sensitivities(plant, p_controller(**result.gains)).peak("output").value <= 2.6 * (1 + 1e-6)
+
+
+def test_draws_follow_their_covariance() -> None:
+    covariance = np.zeros((84, 84))
+    covariance[0, 0], covariance[1, 1] = 4.0, 0.25  # k_xx: constant and term in P
+    draws = gbid.Uncertainty(covariance=covariance, draws=4000, seed=1).scenarios(np.array([(6.0, 0.0)]))[1:, 2:]
+    assert draws[:, 0].std() == pytest.approx(np.sqrt(4.0 + 36 * 0.25), rel=0.05)
+    assert not draws[:, 1:].any()
+
+
+def test_limits_that_contradict_give_the_least_violation() -> None:
+    result = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=1.05, slowest_pole=150.0)
+    assert (result.status, result.success) == ("limits contradict", False)
+    assert result.violation > 0
+    assert "exceeds" in result.notes[-1]
+    assert damping(dict(result.gains), ONE) == pytest.approx(result.value)
+
+
+def test_bounds_that_leave_no_stabilising_gain() -> None:
+    result = gbid.tune(MODEL, bounds={"kappa_x": (-3, -1), "kappa_y": (-3, -1)})
+    assert (result.status, result.success) == ("no stabilising gains", False)
+    assert result.worst.where in result.notes[-1]
+    assert result.worst.damping < 0
+    assert result.gains == pytest.approx({"kappa_x": -1, "kappa_y": -1}, abs=1e-5)
+
+
+def test_an_unstable_open_loop_is_named() -> None:
+    coefficients = dict(MODEL.coefficients)
+    coefficients["d_xx"] = (coefficients["d_xx"][0] + 130.0, *coefficients["d_xx"][1:])
+    moved = gbid.LPVModel("unstable", coefficients, MODEL.domain, MODEL.actuators)
+    assert not moved.at(6, 0).is_stable()
+    result = gbid.tune(moved, operating_points=ONE)
+    assert result.success
+    assert result.notes[0] == "the open loop is not stable at 6 bar, 0 rpm"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"operating_points": [(9.0, 0.0)]}, "outside its domain"),
+        ({"operating_points": []}, "operating_points"),
+        ({"operating_points": "all"}, "'domain'"),
+        ({"peak_sensitivity": -1.0}, "peak_sensitivity"),
+        ({"bounds": {"kapa_x": (0, 1)}}, "no gain kapa_x"),
+        ({"bounds": {"kappa_x": (1, 0)}}, "lower first"),
+        ({"start": {"kapa_x": 1.0}}, "no gain kapa_x"),
+        ({"slowest_pole": -1.0}, "slowest_pole"),
+        ({"controller": "PID"}, "PID"),
+        ({"actuator": {"p1_x": 3000.0}}, "no actuator"),
+    ],
+)
+def test_wrong_arguments(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        gbid.tune(MODEL, **options)
+
+
+def test_pareto_front_rises_and_holds_the_papers_design() -> None:
+    own = gbid.sensitivities(MODEL.plant_at(6, 0), p_controller(**DESIGN)).peak("output").value
+    front = gbid.pareto(MODEL, [2.6, 1.6, own], operating_points=ONE)
+    assert front.caps == (1.6, own, 2.6)
+    assert list(front.values) == sorted(front.values)
+    assert front.values[1] == pytest.approx(0.318, abs=5e-4)
+    with pytest.raises(UsageError, match="above 1"):
+        gbid.pareto(MODEL, [0.9])
+
+
+@pytest.mark.slow
+def test_one_filter_per_axis_beats_proportional_feedback() -> None:
+    single = gbid.tune(MODEL, operating_points=ONE, controller="biquad", peak_sensitivity=2.0)
+    assert single.success
+    assert single.value >= 0.75
+    filters = gbid.tune(MODEL, controller="biquad", peak_sensitivity=2.0)
+    assert filters.success
+    assert filters.value >= 2.4 * gbid.tune(MODEL, peak_sensitivity=2.0).value
+    structure = gbid.controller_structure("biquad")
+    assert peak(structure, dict(filters.gains), MODEL.operating_points) <= 2.0 * (1 + 1e-6)
