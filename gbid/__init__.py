@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         GainResult,
         ParetoFront,
         Uncertainty,
-        assess,
         close_loop,
         compare_designs,
         controller_structure,
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
         tune,
         validate_impact,
     )
+    from gbid.control.assess import assess
     from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
     from gbid.identify.fit import fit
     from gbid.interchange import save_csv, save_mat

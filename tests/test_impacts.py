@@ -275,6 +275,9 @@ def test_bad_sections(tmp_path, capsys, old: str, new: str, text: str) -> None:
 
 def test_tuned_controller_that_is_not_there(tmp_path, capsys) -> None:
     path = write_quick(tmp_path, ("paper", "tuned"), text=YAML)
+    assert command("check", path) == 2
+    assert "no section 'controller'" in capsys.readouterr().err
+    path = write_quick(tmp_path, ("paper", "tuned"), text=f"{YAML}controller: {{feedback: {{}}}}\n")
     assert command("check", path) == 0
     assert command("impact", path) == 2
     assert "gbid tune" in capsys.readouterr().err

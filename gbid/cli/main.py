@@ -25,6 +25,7 @@ from gbid.cli.rig import rig
 from gbid.cli.run import run
 from gbid.cli.schema import schema
 from gbid.cli.static import static
+from gbid.cli.tune import tune
 
 app = typer.Typer(
     name="gbid",
@@ -89,6 +90,11 @@ app.command(
     epilog=examples("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
 )(lpv)
 app.command("crossval", rich_help_panel=IDENTIFY, epilog=examples("gbid crossval rig1/experiment.yaml"))(crossval)
+app.command(
+    "tune",
+    rich_help_panel=CONTROL,
+    epilog=examples("gbid tune rig1/experiment.yaml", "gbid tune rig1/experiment.yaml --json > designs.json"),
+)(tune)
 app.command(
     "impact",
     rich_help_panel=CONTROL,

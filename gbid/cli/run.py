@@ -39,10 +39,12 @@ def run(
         from gbid.experiment.stages import (
             choose_nominal,
             draw_surfaces,
+            made_designs,
             made_surfaces,
             run_crossval,
             run_impacts,
             run_static,
+            run_tuning,
         )
         from gbid.report.html import write_report
         from gbid.report.impact_tables import impact_tables
@@ -50,6 +52,7 @@ def run(
         from gbid.report.stage import draw_figures
         from gbid.report.static_tables import static_table
         from gbid.report.tables import campaign_tables, fit_tables, prefilter_table
+        from gbid.report.tuning_tables import tuning_documents, tuning_tables
         from gbid.report.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)
@@ -62,15 +65,17 @@ def run(
             made, rows = run_crossval(job)
             chosen, nominal = choose_nominal(job)
             surfaces = draw_surfaces(job)
+            tuned = run_tuning(job)
             hit = run_impacts(job)
             drawn = draw_figures(job)
             written = write_report(job)
-        outcomes += [*collected, *made, *chosen, *surfaces, *hit, *drawn, written]
+        outcomes += [*collected, *made, *chosen, *surfaces, *tuned, *hit, *drawn, written]
         fits, validated = fit_documents(job, outcomes), crossval_documents(rows)
         filtered, summaries = prefilter_documents(outcomes), summary_documents(made)
         central = nominal_document(chosen[0].item, nominal, chosen[0].path) if nominal else None
         static = static_documents(job, outcomes)
         models = lpv_documents(loaded, surfaces, made_surfaces(surfaces))
+        designs = tuning_documents(tuned, made_designs(tuned))
         impacts = impact_documents(job, hit)
         figures = [str(o.path) for o in drawn if o.state != "failed"]
         if as_json:
@@ -85,6 +90,7 @@ def run(
                     "crossval_summary": summaries,
                     "nominal": central,
                     "lpv": models,
+                    "tuning": designs,
                     "impacts": impacts,
                     "figures": figures,
                     "report": None if written.state == "failed" else str(written.path),
@@ -106,6 +112,8 @@ def run(
                 print_table(nominal_table(central), "")
             for model in models:
                 print_table(lpv_tables(model))
+            if designs:
+                print_table(tuning_tables(designs))
             if impacts:
                 print_table(impact_tables(impacts))
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))

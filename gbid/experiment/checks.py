@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 
 from gbid.errors import DataError, UsageError
+from gbid.experiment.checks_control import designs_can_be_tuned
 from gbid.experiment.checks_fits import FIT_CHECKS, structure_or_none
 from gbid.experiment.checks_impacts import impacts_can_be_made
 from gbid.experiment.checks_lpv import surfaces_can_be_drawn
@@ -44,7 +45,7 @@ def has_recordings(experiment: Experiment) -> Found:
     spec = experiment.spec
     if spec.rig is None and spec.imported is None:
         yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
-    elif spec.rig is not None and not experiment.recordings and spec.impacts is None:
+    elif spec.rig is not None and not (experiment.recordings or spec.impacts or spec.controller):
         yield ("rig",), "makes no recordings; set recordings of prbs or stationary to at least 1"
 
 
@@ -191,6 +192,7 @@ CHECKS: tuple[Check, ...] = (
     crossval_has_partners,
     nominal_is_an_actuator,
     surfaces_can_be_drawn,
+    designs_can_be_tuned,
     impacts_can_be_made,
     figures_show_fits,
 )

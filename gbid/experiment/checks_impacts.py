@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gbid.errors import GbidError
-from gbid.experiment.impact_plan import controller_at, expecting_model, hammer_of
+from gbid.experiment.impact_plan import controller_at, expecting_model, hammer_of, is_tuned, tuned_design
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import Location
 from gbid.experiment.structures import rig_model
@@ -48,6 +48,12 @@ def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]
             expecting_model(experiment)
         except GbidError as error:
             yield ("impacts", "model"), str(error)
+    tuned = is_tuned(section)
+    if tuned:
+        try:
+            tuned_design(experiment)
+        except GbidError as error:
+            yield ("impacts", "controller"), str(error)
     for i, point in enumerate(section.operating_points):
         inside = True
         for key in ("pressure_bar", "speed_rpm"):
@@ -58,7 +64,7 @@ def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]
                     ("impacts", "operating_points", i, key),
                     f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside",
                 )
-        if inside and "closed" in section.loops and section.controller != "tuned":
+        if inside and "closed" in section.loops and not tuned:
             try:
                 controller_at(experiment, point)
             except GbidError as error:

@@ -12,6 +12,7 @@ from gbid.errors import UsageError
 from gbid.experiment.keys import file_digest
 from gbid.experiment.load import Experiment
 from gbid.experiment.plan import RIG_SIGNALS, PlannedRecording
+from gbid.experiment.problems import nearest
 from gbid.experiment.schema_impacts import ImpactPoint, ImpactsSection
 from gbid.experiment.structures import rig_model
 from gbid.lpv import LPVModel, load_model
@@ -163,17 +164,39 @@ def controller_path(experiment: Experiment) -> Path:
         When it is not there.
     """
     section = impacts_section(experiment)
-    if section.controller != "tuned":
+    if not is_tuned(section):
         path = experiment.folder / section.controller
         if not path.is_file():
             raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
         return path
-    folder = experiment.results / TUNED
-    there = sorted(folder.glob("*.yaml"))
-    if len(there) != 1:
-        found = ", ".join(p.name for p in there) or "none"
-        raise UsageError(f"{folder}: needs one tuned controller, found {found}; run `gbid tune`, or name its file")
-    return there[0]
+    path = experiment.results / TUNED / f"{tuned_design(experiment)}.yaml"
+    if not path.is_file():
+        raise UsageError(f"{path}: not there; `gbid tune` makes it")
+    return path
+
+
+def is_tuned(section: ImpactsSection) -> bool:
+    """Whether the controller is one that the tuning leaves."""
+    return section.controller.partition(":")[0] == "tuned"
+
+
+def tuned_design(experiment: Experiment) -> str:
+    """Name of the design that the section means by ``tuned`` or ``tuned:NAME``.
+
+    Raises
+    ------
+    UsageError
+        When there is no such design, or several and none is named.
+    """
+    designs = experiment.spec.controller
+    name = impacts_section(experiment).controller.partition(":")[2]
+    if not designs:
+        raise UsageError("there is no section 'controller' whose design could be meant; add one")
+    if name and name not in designs:
+        raise UsageError(f"no design {name!r}; {nearest(name, designs)}")
+    if not name and len(designs) > 1:
+        raise UsageError(f"several designs are tuned; write tuned:NAME, there is {', '.join(designs)}")
+    return name or next(iter(designs))
 
 
 def _with_actuators(model: LPVModel) -> LPVModel:

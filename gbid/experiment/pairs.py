@@ -19,7 +19,7 @@ def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
 
 
 def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
-    """Recordings that one model of a fit is fitted to."""
+    """List the recordings that one model of a fit is fitted to."""
     if experiment.spec.fits[fit].together:
         return [q.name for q in experiment.fit_recordings(fit)]
     return [model]

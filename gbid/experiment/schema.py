@@ -17,6 +17,7 @@ from gbid.experiment.fields import (
     Switch,
     Text,
 )
+from gbid.experiment.schema_control import ControllerSection
 from gbid.experiment.schema_fits import FitSection
 from gbid.experiment.schema_impacts import ImpactsSection
 from gbid.experiment.schema_import import ImportSection
@@ -79,5 +80,6 @@ class ExperimentFile(Section):
     crossval: dict[Text, CrossvalSection] = Field(default_factory=dict)
     nominal: Annotated[NominalSection | None, BeforeValidator(given)] = None
     lpv: Annotated[LpvSection | None, BeforeValidator(given)] = None
+    controller: dict[Name, ControllerSection] = Field(default_factory=dict)
     impacts: Annotated[ImpactsSection | None, BeforeValidator(given)] = None
     figures: dict[Text, FigureSection] = Field(default_factory=dict)

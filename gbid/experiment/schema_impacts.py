@@ -19,7 +19,8 @@ class ImpactPoint(Section):
 class ImpactsSection(Section):
     """Hammer impacts with and without a controller (paper, Sec. 5.1); see `gbid.fit_ringdown`, `gbid.validate_impact`.
 
-    `controller`: ``paper`` is the one in the rig's model file, ``tuned`` that of the tuning, else a controller file.
+    `controller`: ``paper`` is the one in the rig's model file, ``tuned`` the design of the
+    section controller (``tuned:NAME`` of several), else a controller file.
     `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment;
     the rig's own when left out. `repeats` is the number of blows in a recording, `spacing_s` the time between them.
     """

@@ -18,6 +18,7 @@ from gbid.experiment.stages.recordings import (
     rig_tasks,
 )
 from gbid.experiment.stages.surfaces import draw_surfaces, made_surfaces
+from gbid.experiment.stages.tuning import made_designs, run_tuning
 
 __all__ = [
     "CrossvalRow",
@@ -41,6 +42,7 @@ __all__ = [
     "import_tasks",
     "load_made_fit",
     "load_made_static",
+    "made_designs",
     "made_impacts",
     "made_surfaces",
     "make_rig_recordings",
@@ -58,6 +60,7 @@ __all__ = [
     "run_impacts",
     "run_static",
     "run_tasks",
+    "run_tuning",
     "standing",
     "static_tasks",
     "validate_pair",

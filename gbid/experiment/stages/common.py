@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
+from gbid.control.gain_result import SearchStep
 from gbid.experiment.load import Experiment
 from gbid.identify import Progress
 
@@ -106,6 +107,10 @@ class Reporter(Protocol):
         """Tell of an iteration of the solver."""
         ...
 
+    def search(self, step: SearchStep) -> None:
+        """Tell how far a search for gains has come."""
+        ...
+
     def end(self, outcome: Outcome) -> None:
         """Tell what became of an item."""
         ...
@@ -121,6 +126,9 @@ class Silent:
         """Say nothing."""
 
     def iteration(self, progress: Progress) -> None:
+        """Say nothing."""
+
+    def search(self, step: SearchStep) -> None:
         """Say nothing."""
 
     def end(self, outcome: Outcome) -> None:

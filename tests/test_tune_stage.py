@@ -1,0 +1,283 @@
+"""Controllers in an experiment: section, stage, verb and files."""
+
+import json
+
+import numpy as np
+import pytest
+from experiment_files import write_quick
+from typer.testing import CliRunner
+
+import gbid
+from gbid.cli.main import app
+from gbid.control import HalfSine, compare_designs
+from gbid.control.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.errors import DataError
+from gbid.experiment.design_plan import design_structure
+from gbid.experiment.impact_plan import controller_at
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import Job, run_tuning
+from gbid.experiment.stages.tuning import PUBLISHED
+
+MODEL = gbid.load_model("theisen2016")
+RIG = """\
+format: 1
+name: designs
+rig:
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+"""
+FEEDBACK = """\
+controller:
+  feedback:
+    operating_points: [{pressure_bar: 6, speed_rpm: 0}]
+    peak_sensitivity: 2.28317
+    pareto: [2.6, 1.6]
+"""
+OWN = """\
+import numpy as np
+import gbid
+
+def matrices(p):
+    return {"A": np.zeros((0, 0)), "B": np.zeros((0, 2)), "C": np.zeros((2, 0)), "D": [[p.k, 0], [0, p.k]]}
+
+structure = gbid.LinearStructure("same", [gbid.Parameter("k", 0.0, 0.0, 2.0)], matrices, ("p_x", "p_y"), ("r_x", "r_y"))
+"""
+
+
+def call(*arguments):
+    return CliRunner().invoke(app, [str(a) for a in arguments])
+
+
+@pytest.fixture(scope="module")
+def tuned(tmp_path_factory):
+    path = write_quick(tmp_path_factory.mktemp("tuned"), text=RIG + FEEDBACK)
+    result = call("tune", path, "--json")
+    assert result.exit_code == 0, result.output
+    return path, json.loads(result.stdout)["tuning"][0]
+
+
+def test_the_papers_damping_at_the_papers_cap(tuned):
+    _, document = tuned
+    assert document["status"] == "optimal"
+    assert document["value"] == pytest.approx(0.318, abs=5e-4)
+    assert document["peak_sensitivity"] <= 2.28317 * (1 + 1e-6)
+    own, published = document["worth"]
+    assert (own["name"], published["name"]) == ("feedback", PUBLISHED)
+    assert published["gains"] == {"kappa_x": 1.125, "kappa_y": 0.99}
+    controller = gbid.control.p_controller(**document["gains"])
+    loop = gbid.close_loop(MODEL.plant_at(6, 0), controller)
+    assert own["worst"]["damping"]["value"] == pytest.approx(min(zeta for _, zeta in loop.modes()), abs=1e-12)
+    assert [row["cap"] for row in document["pareto"]] == [1.6, 2.6]
+    low, high = (row["value"] for row in document["pareto"])
+    assert low < document["value"] < high
+
+
+def test_table_is_that_of_compare_designs(tuned):
+    path, document = tuned
+    result = call("tune", path)
+    assert result.exit_code == 0, result.output
+    assert "kept" in result.stderr
+    structure = gbid.controller_structure("P")
+    assessed = [
+        gbid.control.assess(MODEL, structure, worth["gains"], [(6, 0)], name=worth["name"])
+        for worth in document["worth"]
+    ]
+    compared = compare_designs(assessed)
+    lines = result.stdout.splitlines()
+    for i, heading in enumerate(compared.columns[1:], 1):
+        line = next(entry for entry in lines if entry.startswith(heading))
+        assert line.removeprefix(heading).split() == [row[i] for row in compared.rows]
+    for word in ("optimal: damping 0.318", "held back by peak of S_o", "checked: ", "at most 1.6", "feedback.yaml"):
+        assert word in result.stdout
+
+
+def test_controller_file_has_the_gains_and_runs_in_the_impacts(tuned):
+    path, document = tuned
+    design = gbid.load_controller(document["controller"])
+    assert dict(design.gains) == document["gains"]
+    assert (design.name, design.plant, design.sample_time) == ("feedback", "theisen2016", 2e-4)
+    assert design.provenance["cap_peak_sensitivity"] == 2.28317
+    hit = path.with_name("hit.yaml")
+    for word in ("tuned", "tuned:feedback"):
+        hit.write_text(
+            RIG
+            + FEEDBACK
+            + f"impacts: {{controller: '{word}', operating_points: [{{pressure_bar: 6, speed_rpm: 0}}]}}\n"
+        )
+        experiment = load_experiment(hit)
+        running = controller_at(experiment, experiment.spec.impacts.operating_points[0])
+        np.testing.assert_array_equal(running.continuous.C, design.at().C)
+
+
+def test_changed_settings_stop_and_replace(tuned, tmp_path):
+    path, _ = tuned
+    other = write_quick(tmp_path, ("2.28317", "2.0"), ("    pareto: [2.6, 1.6]\n", ""), text=RIG + FEEDBACK)
+    results = path.parent / "results" / "designs"
+    refused = call("tune", other, "--results", results)
+    assert refused.exit_code == 2
+    assert "--overwrite" in refused.output
+    copied = tmp_path / "out" / "controller"
+    copied.mkdir(parents=True)
+    for file in (results / "controller").iterdir():
+        (copied / file.name).write_bytes(file.read_bytes())
+    assert call("tune", other, "--results", tmp_path / "out", "--overwrite").exit_code == 0
+    assert load_tuned(copied / "feedback.h5").result.peak_sensitivity <= 2.0 * (1 + 1e-6)
+
+
+def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(tmp_path):
+    path = write_quick(tmp_path, ("peak_sensitivity: 2.28317", "slowest_pole: 2000"), text=RIG + FEEDBACK)
+    result = call("tune", path, "--json")
+    assert result.exit_code == 4
+    assert "limits contradict" in result.stderr
+    document = json.loads(result.stdout)
+    design, (found, file) = document["tuning"][0], document["outcomes"]
+    assert not design["success"]
+    assert design["violation"] > 0
+    assert (found["converged"], found["state"], file["stage"]) == (False, "made", "controller")
+    assert gbid.load_controller(design["controller"]).provenance["status"] == "limits contradict"
+    assert call("tune", path).exit_code == 4  # kept, and still said
+
+
+def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
+    text = RIG + (
+        "controller:\n"
+        "  own: {structure: 'own.py:structure', impact: {peak_n: 10.0}, "
+        "operating_points: [{pressure_bar: 6, speed_rpm: 0}]}\n"
+        "  follows: {schedule: ['1', P], operating_points: [{pressure_bar: 5, speed_rpm: 0}, "
+        "{pressure_bar: 6, speed_rpm: 0}]}\n"
+        "  everywhere: {operating_points: domain, sample_time_s: 1e-4}\n"
+    )
+    path = write_quick(tmp_path, text=text)
+    (tmp_path / "own.py").write_text(OWN)
+    outcomes = run_tuning(Job(load_experiment(path)))
+    assert [o.state for o in outcomes] == ["made"] * 6
+    folder = tmp_path / "results" / "designs" / "controller"
+    own = gbid.load_controller(folder / "own.yaml")
+    assert own.structure is None
+    k = own.gains["k"]
+    np.testing.assert_array_equal(own.at().D, [[k, 0], [0, k]])
+    follows = gbid.load_controller(folder / "follows.yaml")
+    np.testing.assert_allclose(follows.at(5, 0).C, follows.models[5.0, 0.0].C)
+    everywhere = load_tuned(folder / "everywhere.h5")
+    assert everywhere.sample_time == 1e-4
+    assert load_tuned(folder / "own.h5").impact.peak_n == 10.0
+    assert len(everywhere.result.points) >= 9
+    # The text of a structure of one's own decides its design.
+    (tmp_path / "own.py").write_text(OWN.replace("2.0)", "1.0)"))
+    assert "own.h5 was made with other settings" in call("tune", path).output
+
+
+def test_round_trip_of_a_design(tmp_path, tuned):
+    path, _ = tuned
+    stored = load_tuned(path.parent / "results" / "designs" / "controller" / "feedback.h5")
+    save_tuned(stored, tmp_path / "again.h5")
+    again = load_tuned(tmp_path / "again.h5")
+    assert again.result == stored.result
+    assert again.front == stored.front
+    assert len(stored.result.history) > 0
+    bare = TunedDesign("bare", "m", stored.result, (), (), HalfSine(), 2e-4)
+    save_tuned(bare, tmp_path / "bare.h5")
+    assert load_tuned(tmp_path / "bare.h5").worth == ()
+    (tmp_path / "bad.h5").write_bytes((tmp_path / "again.h5").read_bytes()[:2000])
+    with pytest.raises(DataError, match=r"bad\.h5"):
+        load_tuned(tmp_path / "bad.h5")
+
+
+def test_worst_figures_are_those_of_the_assessment():
+    gains = {"kappa_x": 1.125, "kappa_y": 0.99}
+    assessed = gbid.control.assess(MODEL, "P", gains, [(3, 0), (6, 0), (7, 6000)])
+    numbers = DesignFigures.of(assessed)
+    for name, (value, point) in numbers.worst.items():
+        expected, where = assessed.worst[name]
+        assert (value, point) == (expected, (where.pressure_bar, where.speed_rpm))
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("{p: {structure: Q}}", ("controller.p.structure", "there is P, PD, biquad")),
+        ("{p: {structur: P}}", ("controller.p.structur", "did you mean 'structure'")),
+        ("{p: {structure: 'a.py:b'}}", ("controller.p.structure", "no file")),
+        ("{p: {model: lpv}}", ("controller.p.model", "no section 'lpv'")),
+        ("{p: {model: nosuch}}", ("controller.p.model", "no model 'nosuch'")),
+        ("{p: {uncertainty: {}}}", ("controller.p.uncertainty", "write model: lpv")),
+        ("{p: {bounds: {kapa_x: [0, 1]}}}", ("bounds.kapa_x", "did you mean 'kappa_x'")),
+        ("{p: {bounds: {kappa_x: [1, 0]}}}", ("bounds.kappa_x", "lower bound 1 is not below")),
+        ("{p: {start: {gain: 1}}}", ("start.gain", "there is kappa_x, kappa_y")),
+        ("{p: {schedule: [P]}}", ("controller.p.schedule", "'1' among them")),
+        ("{p: {pareto: [0.9]}}", ("controller.p.pareto[0]", "must be above 1")),
+        ("{p: {peak_sensitivity: 1}}", ("controller.p.peak_sensitivity", "must be above 1")),
+        ("{p: {operating_points: all}}", ("controller.p.operating_points: expected the word model or domain", "'all'")),
+        ("{p: {operating_points: [{pressure_bar: 9, speed_rpm: 0}]}}", ("points[0].pressure_bar", "3 to 7")),
+        ("{p: {operating_points: [{pressure_bar: 6, speed_rpm: 0, speed: 1}]}}", ("points[0].speed:", "unknown key")),
+        ("{p: {tune_corner: true, order: 0}}", ("controller.p.structure", "tune_corner needs a low-pass")),
+        ("{p: {impact: }}", ("controller.p.impact", "is empty")),
+        (
+            "{p: {}, q: {}}\nimpacts: {controller: tuned, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",
+            ("impacts.controller", "write tuned:NAME, there is p, q"),
+        ),
+        (
+            "{p: {}}\nimpacts: {controller: 'tuned:q', operating_points: [{pressure_bar: 6, speed_rpm: 0}]}",
+            ("impacts.controller", "no design 'q'"),
+        ),
+    ],
+)
+def test_wrong_sections_are_named(tmp_path, section, words):
+    path = write_quick(tmp_path, text=f"{RIG}controller: {section}\n")
+    result = call("check", path)
+    assert result.exit_code == 2
+    assert len(result.stderr.splitlines()) == 1
+    for word in words:
+        assert word in result.output
+
+
+SURFACES = """\
+format: 1
+name: small
+rig:
+  seed: 5
+  operating_points:
+    - {pressure_bar: 3, speed_rpm: 0}
+    - {pressure_bar: 3, speed_rpm: 6000}
+    - {pressure_bar: 6, speed_rpm: 0}
+    - {pressure_bar: 6, speed_rpm: 6000}
+  duration_s: 0.4
+  prbs: {recordings: 2, amplitude_m: 1.5e-6, hold_s: 4e-3}
+  stationary: {recordings: 1, duration_s: 1.0}
+prefilter: {harmonics: 6}
+fits:
+  bearing: {structure: rotor_bearing, focus: simulation}
+lpv: {fit: bearing, order: ["1", P, Omega, Omega P], actuators: theisen2016}
+controller:
+  robust: {peak_sensitivity: 2.0, uncertainty: {draws: 2, seed: 1}}
+"""
+
+
+def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path):
+    path = write_quick(tmp_path, text=SURFACES)
+    early = call("tune", path)
+    assert early.exit_code == 3
+    assert "no surfaces 'bearing' made from the present fits" in early.output
+    for verb in ("rig", "fit", "lpv"):
+        result = call(verb, path)
+        assert result.exit_code == 0, result.output
+    result = call("tune", path, "--json")
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)["tuning"][0]
+    assert document["plant"] == "small"
+    assert len(document["points"]) == 4
+    assert document["verified_on"].endswith("12 loops")  # four points, the surfaces and two drawn plants
+    assert document["worth"][1]["name"] == PUBLISHED
+    assert document["worth"][0]["worst"]["peak_output"]["value"] <= 2.0 * (1 + 1e-6)
+    bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
+    assert "add lpv: actuators" in call("check", bare).output
+
+
+def test_schedule_without_a_model_at_hand_has_its_gains(tmp_path):
+    text = SURFACES.replace(
+        "uncertainty: {draws: 2, seed: 1}", "schedule: ['1', Omega], bounds: {kappa_x_Omega: [0, 1]}"
+    )
+    experiment = load_experiment(write_quick(tmp_path, text=text))
+    structure = design_structure(experiment, experiment.spec.controller["robust"])
+    assert [q.name for q in structure.parameters] == ["kappa_x_1", "kappa_x_Omega", "kappa_y_1", "kappa_y_Omega"]
