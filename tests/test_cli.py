@@ -152,6 +152,7 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         "tuning",
         "impacts",
         "figures",
+        "report",
         "outcomes",
     }
 

@@ -57,7 +57,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
 ) -> None:
     assert "gbid run experiments/quickstart.yaml" in (ROOT / "Makefile").read_text(encoding="utf-8")
     blocks = [body for info, body in fences(ROOT / "README.md") if info == "python"]
-    assert len(blocks) == 1
+    fitting, tuning = blocks
     text = (ROOT / "experiments" / "quickstart.yaml").read_text(encoding="utf-8")
     shorter = text.replace("duration_s: 5.0", "duration_s: 1.5")
     assert shorter != text
@@ -68,7 +68,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
 
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}
-    exec(compile(blocks[0], "README.md", "exec"), names)
+    exec(compile(fitting, "README.md", "exec"), names)
 
     result = names["result"]
     assert isinstance(result, gbid.FitResult)
@@ -82,6 +82,11 @@ def test_readme_python_runs_on_what_make_run_leaves(
     percents = re.findall(r"[\d.]+", printed.rsplit("]:", 1)[1])
     assert len(percents) == 2
     assert min(map(float, percents)) > 90
+
+    exec(compile(tuning, "README.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "optimal" in printed
+    assert "peak S_o" in printed
 
 
 @pytest.mark.parametrize("path", LINKED, ids=relative)

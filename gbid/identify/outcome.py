@@ -24,6 +24,8 @@ FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 _COLOURED = 0.01  # probability below which residuals do not count as white, shared by the outputs
 _MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
+_NEAR = 1e-6  # of a parameter's scale: it lies on its bound
+_NEAR_IN_STD = 1e-3  # so does one that is nearer to it than this part of its standard deviation
 _EDGE = 0.02  # of the stability margin of the model itself
 _OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
 
@@ -72,8 +74,12 @@ def outcome(
         success, status = False, _OVERFLOW
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    on_bound = _on_bound(free, theta, problem.theta_scale)
+    on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
     found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
+    pressed = on_bound | _on_bound(free, theta, _NEAR_IN_STD * np.sqrt(np.diag(found.white)))
+    if (pressed != on_bound).any():  # the solver stops a little inside of a bound that holds it
+        on_bound = pressed
+        found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
     white = whiteness_test(by_record)
     trusted: Literal["white", "robust"] = (
         "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
@@ -172,8 +178,7 @@ def _covariance(
         return none
 
 
-def _on_bound(free: tuple[Parameter, ...], theta: FloatArray, scale: FloatArray) -> BoolArray:
-    near = 1e-6 * scale
+def _on_bound(free: tuple[Parameter, ...], theta: FloatArray, near: FloatArray) -> BoolArray:
     return np.array(
         [v - q.lower <= s or q.upper - v <= s for q, v, s in zip(free, theta, near, strict=True)], dtype=bool
     )
