@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import inspect
+import os
 import re
 import shutil
 import subprocess
@@ -15,8 +15,11 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from run_page import FENCE, cells, fences
+from typer.main import get_command
 
 import gbid
+from gbid.cli.main import app
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job, make_rig_recordings
 from gbid.structure import Structure
@@ -27,16 +30,9 @@ PAGES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "jupyter_execute"
 LINKED = [*PAGES, ROOT / "README.md", ROOT / "CHANGELOG.md"]
 PUBLIC = [name for name in gbid.__all__ if name != "__version__"]
 
-FENCE = re.compile(r"^(`{3,}|~{3,})([^\n]*)\n(.*?)^\1[ ]*$", re.MULTILINE | re.DOTALL)
-
 
 def relative(path: Path) -> str:
     return str(path.relative_to(ROOT))
-
-
-def fences(path: Path) -> list[tuple[str, str]]:
-    """Info string and body of each fenced block."""
-    return [(info.strip(), body) for _, info, body in FENCE.findall(path.read_text(encoding="utf-8"))]
 
 
 def prose(path: Path) -> str:
@@ -147,23 +143,52 @@ def _lag(p: Any) -> dict[str, Any]:
     return {"A": [[-p.a]], "B": [[p.k]], "C": [[1]], "K": [[0.5]], **late}
 
 
-def cells(path: Path) -> list[str]:
-    """Executed code of a page, without the cells' options."""
-    return [re.sub(r"\A(:[^\n]*\n)+", "", body) for info, body in fences(path) if info.startswith("{code-cell}")]
-
-
 @pytest.mark.parametrize("path", [p for p in PAGES if cells(p)], ids=relative)
-def test_code_cells_import_what_is_there(path: Path) -> None:
-    """The build runs the cells; this finds at once what was renamed."""
+def test_code_cells_run(path: Path, tmp_path: Path) -> None:
+    """All cells of a page in order, in a process of their own, warnings as errors; the build shows what they print."""
     assert path.read_text(encoding="utf-8").startswith("---\nfile_format: mystnb\n"), "cells would not be executed"
-    for body in cells(path):
-        for node in ast.walk(ast.parse(body)):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "gbid":
-                module = importlib.import_module(node.module)
-                assert not [a.name for a in node.names if not hasattr(module, a.name)]
-            if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == "gbid":
-                importlib.import_module("gbid.errors")
-                assert hasattr(gbid, node.attr), node.attr
+    surroundings = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NO_COLOR": "1", "COLUMNS": "120"}
+    done = subprocess.run(
+        [sys.executable, Path(__file__).with_name("run_page.py"), path],
+        cwd=tmp_path,
+        env={**os.environ, **surroundings},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, (done.stdout[-1500:] + done.stderr)[-5000:]
+
+
+COMMAND = re.compile(r"(?<![\w.-])gbid( [a-z]+\b[^`'\n]*| --[a-z][^`'\n]*)")
+
+
+def commands(path: Path) -> list[str]:
+    """What pages tell to type: lines of console and text blocks, and inline code."""
+    typed = [body for info, body in fences(path) if info in ("console", "text", "bash", "sh")]
+    lines = [line.split(" # ")[0] for body in typed for line in body.splitlines() if "$ " in line]
+    inline = re.findall(r"`(gbid [^`\n]+)`", FENCE.sub("", path.read_text(encoding="utf-8")))
+    return [found.strip() for line in (*lines, *inline) for found in COMMAND.findall(line)]
+
+
+@pytest.mark.parametrize("path", LINKED, ids=relative)
+def test_commands_exist(path: Path) -> None:
+    group: Any = get_command(app)
+    for command in commands(path):
+        words = command.split()
+        options = {"--help"}
+        if words[0].startswith("-"):
+            verb = group
+        else:
+            verb = group.commands.get(words[0])
+            assert verb, f"{relative(path)}: gbid {command}: no such verb"
+        options |= {opt for parameter in verb.params for opt in (*parameter.opts, *parameter.secondary_opts)}
+        named = {word.split("=")[0] for word in words if re.match(r"--?[a-z]", word)}
+        assert named <= options, f"{relative(path)}: gbid {command}: no such option"
+
+
+def test_commands_are_found() -> None:
+    assert "tune" in [command.split()[0] for command in commands(DOCS / "index.md")]
+    assert [c for c in commands(DOCS / "campaign.md") if "--shard" in c]
 
 
 def sections(docstring: str) -> dict[str, str]:
@@ -178,23 +203,67 @@ def described(section: str) -> set[str]:
     return {name.strip().lstrip("*") for line in lines for name in line.split(" : ")[0].split(",")}
 
 
-@pytest.mark.parametrize("name", PUBLIC)
-def test_public_names_document_each_argument(name: str) -> None:
-    value = getattr(gbid, name)
-    if inspect.ismodule(value):  # gbid.prefilter, the callable package
-        value = getattr(value, name)
+API = re.findall(r"^\.\. auto(?:function|class):: (\S+)$", (DOCS / "api.md").read_text(encoding="utf-8"), re.MULTILINE)
+
+
+def public(name: str) -> Any:
+    """What a directive of the API page names."""
+    module, _, attribute = name.replace("::", ".").rpartition(".")
+    value = getattr(importlib.import_module(module), attribute)
+    return getattr(value, attribute) if inspect.ismodule(value) else value  # gbid.prefilter, the callable package
+
+
+def methods(cls: type) -> dict[str, Any]:
+    """Public methods that a class defines itself."""
+    plain = {name: getattr(value, "__func__", value) for name, value in vars(cls).items() if not name.startswith("_")}
+    return {name: value for name, value in plain.items() if inspect.isfunction(value)}
+
+
+def arguments(value: Any) -> set[str]:
+    return {key for key in inspect.signature(value).parameters if not key.startswith("_")} - {"self", "cls"}
+
+
+def words_on(value: Any) -> set[str]:
+    """Arguments that a docstring describes, in a list or in its sentences."""
+    found = sections(value.__doc__ or "")
+    return {
+        *described(found.get("Parameters", "")),
+        *described(found.get("Attributes", "")),
+        *re.findall(r"(?<!`)`(\w+)`(?!`)", value.__doc__ or ""),
+    }
+
+
+def shared_words() -> dict[str, set[str]]:
+    """Arguments of methods that several classes have alike (`matrices`, `reference`): said once is enough."""
+    shared: dict[str, set[str]] = {}
+    for name in API:
+        if inspect.isclass(value := public(name)):
+            for method, function in methods(value).items():
+                shared.setdefault(method, set()).update(
+                    described(sections(function.__doc__ or "").get("Parameters", ""))
+                )
+    return shared
+
+
+SHARED = shared_words()
+
+
+@pytest.mark.parametrize("name", API)
+def test_the_api_page_documents_each_argument(name: str) -> None:
+    value = public(name)
     assert value.__doc__
-    found = sections(value.__doc__)
-    known = described(found.get("Parameters", "")) | described(found.get("Attributes", ""))
-    if inspect.isclass(value):
-        assert {"Parameters", "Attributes"} & set(found)
-        if all(hasattr(value, key) for key in ("matrices", "intersample")):  # said once, at the protocol
-            assert Structure.__doc__
-            known |= described(sections(Structure.__doc__)["Attributes"])
-    elif inspect.signature(value).return_annotation not in (None, "None"):
-        assert "Returns" in found
-    arguments = {key for key in inspect.signature(value).parameters if not key.startswith("_")}
-    assert arguments <= known, f"{name}: no word about {sorted(arguments - known)}"
+    known = words_on(value)
+    if not inspect.isclass(value):
+        nothing = inspect.signature(value).return_annotation in (None, "None")
+        assert nothing or name.count(".") > 1 or "Returns" in sections(value.__doc__), f"{name}: what does it return"
+    elif all(hasattr(value, key) for key in ("matrices", "intersample")):  # said once, at the protocol
+        known |= words_on(Structure)
+    missing = arguments(value) - known if value is not Structure else set()
+    assert not missing, f"{name}: no word about {sorted(missing)}"
+    for method, function in methods(value).items() if inspect.isclass(value) else ():
+        assert function.__doc__, f"{name}.{method} has no docstring"
+        missing = arguments(function) - words_on(function) - SHARED[method]
+        assert not missing, f"{name}.{method}: no word about {sorted(missing)}"
 
 
 @pytest.mark.parametrize("name", PUBLIC)
