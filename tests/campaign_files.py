@@ -6,15 +6,20 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
 from experiment_files import SPRING_STRUCTURE, write_spring_data
 
+from gbid.cli.tally import Tally
 from gbid.errors import DataError, NoSpaceError
-from gbid.experiment.stages import Made, Task
+from gbid.experiment.stages import Made, Silent, Task
 
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
+
+NEEDS_DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed (gbid[dask])")
 
 ENTRY = """\
     - name: run{i}
@@ -56,10 +61,20 @@ def batch(*arguments, **options) -> subprocess.Popen:
 def workers_of(process: subprocess.Popen) -> list[int]:
     """Worker processes of a runner; those that keep track of resources are none."""
     try:
-        children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
+        threads = Path(f"/proc/{process.pid}/task").glob("*/children")  # of any thread: Dask starts them in one
+        children = [child for listed in threads for child in listed.read_text().split()]
         return [int(c) for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
     except OSError:
         return []
+
+
+def alive(pid: int) -> bool:
+    """Whether a process is there."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
 
 
 def stamps(results: Path) -> dict[str, int]:
@@ -97,6 +112,28 @@ def die_once(job, item, part):
         mark.write_text("")
         os.kill(os.getpid(), signal.SIGKILL)
     return write_number(job, item, part)
+
+
+def write_slowly(job, item, part):
+    time.sleep(0.05)
+    return write_number(job, item, part)
+
+
+class Watcher(Silent):
+    """A reporter that notes after each outcome how many of the tasks are done, and how many run."""
+
+    def __init__(self):
+        self.tally, self.seen = Tally(), []
+
+    def expect(self, stage, todo, there, failed):
+        self.tally = Tally(stage, todo, there, failed)
+
+    def begin(self, stage, item):
+        self.tally.begin(stage, item)
+
+    def end(self, outcome):
+        self.tally.end(outcome)
+        self.seen.append((self.tally.done, self.tally.running))
 
 
 def refuse(job, item, part):

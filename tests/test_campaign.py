@@ -4,16 +4,18 @@ import json
 import os
 import random
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import campaign_files as files
 import numpy as np
 import pytest
-from campaign_files import batch, left_over, rows_of, stamps, task, workers_of, write_springs
+from campaign_files import alive, batch, left_over, rows_of, stamps, task, workers_of, write_springs
 from experiment_files import gbid, write_spring_data
 
 from gbid import load_table
@@ -169,14 +171,6 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
     assert left_over(results_of(path)) == []
 
 
-def alive(pid):
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    return True
-
-
 def test_a_task_that_kills_its_workers_does_not_stop_the_rest(pool, job, tmp_path):
     kinds = {"a": files.write_number, "b": files.die, "c": files.write_number, "d": files.die_once}
     kinds |= {"e": files.refuse, "f": files.defect}
@@ -196,6 +190,23 @@ def test_a_task_that_kills_its_workers_does_not_stop_the_rest(pool, job, tmp_pat
     again = run_tasks(job, tasks)
     assert [o.state for o in again] == ["kept", "failed", "kept", "kept", "failed", "failed"]
     assert [o.before for o in again] == [False, True, False, False, True, True]
+
+
+def test_progress_counts_all_that_run(pool, job, tmp_path):
+    """Two workers: two run until the last but one is done; a task whose worker dies is counted once."""
+    watcher = files.Watcher()
+    tasks = [task(tmp_path, f"{i:x}", files.write_slowly) for i in range(1, 16)]
+    run_tasks(replace(job, reporter=watcher, engine=pool), tasks)
+    assert watcher.seen == [(i, min(2, 15 - i)) for i in range(1, 16)]
+    again = files.Watcher()
+    job.experiment.results.mkdir(exist_ok=True)
+    more = [
+        task(tmp_path / "more", "d", files.die_once),
+        *(task(tmp_path / "more", i, files.write_slowly) for i in "abc"),
+    ]
+    run_tasks(replace(job, reporter=again, engine=pool), more)
+    assert again.seen[-1] == (4, 0)
+    assert all(running <= 2 for _, running in again.seen)
 
 
 def test_a_full_disk_stops_a_pool(pool, job, tmp_path):
@@ -242,6 +253,58 @@ def test_no_space_left(springs, fresh, number, monkeypatch, capsys):
     assert gbid("batch", fresh, "--engine", "serial") == 0
     assert table_of(fresh) == table_of(springs)
     assert {name: stamps(results_of(fresh))[name] for name in before} == before
+
+
+FILL_AND_RESUME = """
+import json, subprocess, sys
+from pathlib import Path
+from campaign_files import batch, left_over, rows_of, stamps
+
+experiment, disk, engine = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3]
+disk.mkdir()
+subprocess.run(["mount", "-t", "tmpfs", "-o", "size=360k", "tmpfs", disk], check=True)
+told = []
+for size in ("size=360k", "size=20m"):
+    subprocess.run(["mount", "-o", f"remount,{size}", disk], check=True)
+    process = batch(experiment, "--engine", engine, "--workers", "2", "--results", disk / "results")
+    _, err = process.communicate()
+    told.append([process.returncode, err, stamps(disk / "results"), [str(p) for p in left_over(disk)]])
+print(json.dumps({"told": told, "rows": rows_of(disk / "results" / "table.csv")}))
+"""
+
+
+def may_mount():
+    if not all(map(shutil.which, ("unshare", "mount"))):
+        return False
+    mount = ["unshare", "-rm", "mount", "-t", "tmpfs", "tmpfs", "/mnt"]
+    return subprocess.run(mount, capture_output=True).returncode == 0
+
+
+@pytest.mark.skipif(not may_mount(), reason="needs a file system of its own (unshare, mount)")
+@pytest.mark.parametrize(
+    "engine",
+    [
+        pytest.param("serial", marks=pytest.mark.slow),
+        "pool",
+        pytest.param("dask", marks=[pytest.mark.slow, files.NEEDS_DASK]),
+    ],
+)
+def test_a_disk_that_fills(engine, springs, fresh):
+    """A file system of 360 kB is full after some fits; with more room the rest is made."""
+    script = [sys.executable, "-c", FILL_AND_RESUME, str(fresh), str(fresh.parent / "disk"), engine]
+    environment = {**files.ENVIRONMENT, "PYTHONPATH": os.pathsep.join([str(files.ROOT), str(Path(__file__).parent)])}
+    done = subprocess.run(["unshare", "-rm", *script], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    (code, err, before, parts), (code_again, err_again, after, parts_again) = found["told"]
+    assert code == 3, err
+    assert "No space left in" in err.splitlines()[-1]
+    assert not [line for line in err.splitlines() if "Traceback" in line or "Segmentation" in line]
+    assert 0 < len(before) < 10
+    assert code_again == 0, err_again
+    assert {name: after[name] for name in before} == before
+    assert found["rows"] == table_of(springs)
+    assert parts == parts_again == []
 
 
 def test_shards_at_the_same_time_then_collect(springs, fresh, capsys):

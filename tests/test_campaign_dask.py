@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import campaign_files as files
@@ -11,8 +12,9 @@ from campaign_files import left_over, rows_of, task, write_springs
 from experiment_files import gbid
 
 from gbid.campaign.engines import make_engine
+from gbid.campaign.pool import ATTEMPTS
 from gbid.campaign.run import run_campaign, working
-from gbid.errors import NoSpaceError, UsageError
+from gbid.errors import GbidError, NoSpaceError, UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job, run_tasks
 
@@ -84,6 +86,20 @@ def test_failures_of_tasks_are_outcomes(engine, tmp_path):
         run_tasks(job, [task(tmp_path, "b", files.full_disk)])
 
 
+def test_progress_counts_one_for_each_thread(engine, tmp_path):
+    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"))
+    engine.client.register_plugin(FindTasks(), name="find-tasks")
+    watcher = files.Watcher()
+    tasks = [task(tmp_path, f"{i:x}", files.write_number) for i in range(16)]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gbid.campaign.dask_engine._JOURNEYS", 2)  # four tasks travel together
+        run_tasks(replace(job, reporter=watcher, engine=engine), tasks)
+    assert [done for done, _ in watcher.seen] == list(range(1, 17))
+    assert all(running <= 2 for _, running in watcher.seen)
+    assert watcher.seen[0][1] == 2
+    assert watcher.seen[-1] == (16, 0)
+
+
 @pytest.mark.slow
 def test_a_task_that_kills_its_workers_does_not_stop_the_others_of_its_journey(engine, tmp_path):
     job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
@@ -101,3 +117,24 @@ def test_no_scheduler_answers(monkeypatch):
     monkeypatch.setattr("gbid.campaign.dask_engine._PATIENCE", 0.5)
     with pytest.raises(UsageError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
         make_engine("dask", scheduler="tcp://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("deaths", [1, ATTEMPTS])
+def test_workers_that_die_before_they_have_begun(deaths, monkeypatch):
+    """Dask says of them that a nanny failed to start."""
+    started = []
+
+    def start(**options):
+        started.append(options["n_workers"])
+        if len(started) <= deaths:
+            raise RuntimeError("Nanny failed to start.")
+        return "cluster"
+
+    monkeypatch.setattr("distributed.LocalCluster", start)
+    monkeypatch.setattr("distributed.Client", lambda cluster, timeout: cluster)
+    if deaths < ATTEMPTS:
+        assert make_engine("dask", 2).client == "cluster"
+    else:
+        with pytest.raises(GbidError, match=r"cannot start \(Nanny failed to start\.\); try --engine pool"):
+            make_engine("dask", 2)
+    assert started == [2] * min(deaths + 1, ATTEMPTS)

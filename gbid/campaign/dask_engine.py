@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import pickle
 import threading
@@ -9,8 +10,9 @@ from collections import deque
 from collections.abc import Generator, Sequence
 from typing import Any
 
+from gbid.campaign.pool import ATTEMPTS
 from gbid.campaign.shipping import attempt, bare_job, bare_task
-from gbid.errors import DataError, NoSpaceError, UsageError
+from gbid.errors import DataError, GbidError, NoSpaceError, UsageError
 from gbid.experiment.stages import Job, Outcome, Task, fail
 from gbid.experiment.stages.failures import Failure
 
@@ -34,20 +36,16 @@ class DaskEngine:
     ------
     UsageError
         When Dask is not installed, or no scheduler answers.
+    GbidError
+        When no workers can be started here.
     """
 
     def __init__(self, scheduler: str | None, n_workers: int) -> None:
         try:
-            import dask
-            from distributed import Client, LocalCluster
+            from distributed import Client
         except ImportError:
             raise UsageError("Dask is not installed; install it with: pip install 'gbid[dask]'") from None
-        self._cluster = None
-        if scheduler is None:
-            with dask.config.set({"distributed.worker.profile.enabled": False}):  # it takes a tenth of the time
-                self._cluster = LocalCluster(
-                    n_workers=n_workers, threads_per_worker=1, processes=True, dashboard_address=":0", host="127.0.0.1"
-                )
+        self._cluster = _local_cluster(n_workers) if scheduler is None else None
         try:
             self.client: Any = Client(self._cluster or scheduler, timeout=_PATIENCE)
         except (OSError, ValueError) as error:
@@ -65,21 +63,40 @@ class DaskEngine:
             When the disk is full.
         DataError
             When the workers write to another results folder than this process sees.
+        UsageError
+            When the scheduler is lost.
         """
-        from distributed import as_completed
+        from distributed import CancelledError, as_completed
         from distributed.scheduler import KilledWorker
 
         shipped = pickle.dumps(bare_job(job))
         name = f"gbid-{hashlib.sha256(shipped).hexdigest()[:16]}"
-        self.client.register_plugin(_carrier(shipped), name=name)  # workers that come later get it as well
+        self._register(_carrier(shipped), name)
         threads = max(1, sum(self.client.nthreads().values()))
         waiting, sent, completed = _chunks(len(tasks), threads), {}, as_completed()
+
+        upcoming, begun, ended = deque[int](), set[int](), set[int]()
+
+        def begin(number: int) -> None:
+            if number not in begun and number not in ended:
+                begun.add(number)
+                job.reporter.begin(tasks[number].stage, tasks[number].item)
+
+        def announce() -> None:
+            """Tell of as many tasks as there are threads; a worker does not say which one it is at."""
+            while upcoming and len(begun) < threads:
+                begin(upcoming.popleft())
+
+        def settle(number: int) -> None:
+            begin(number)
+            begun.remove(number)
+            ended.add(number)
+            announce()
 
         def submit() -> None:
             if waiting:
                 chunk = waiting.popleft()
-                for number in chunk:
-                    job.reporter.begin(tasks[number].stage, tasks[number].item)
+                upcoming.extend(chunk)
                 there = [bare_task(tasks[number]) for number in chunk]
                 future = self.client.submit(_attempt_there, name, there, pure=False)
                 sent[future] = chunk
@@ -88,6 +105,7 @@ class DaskEngine:
         try:
             for _ in range(_AHEAD * threads):
                 submit()
+            announce()
             for future in completed:
                 chunk, error = sent.pop(future), future.exception()
                 if isinstance(error, KilledWorker) and len(chunk) > 1:
@@ -95,16 +113,34 @@ class DaskEngine:
                 submit()
                 if error is None:
                     for number, result in zip(chunk, future.result(), strict=True):
+                        settle(number)
                         yield number, self._checked(result, tasks[number])
                 elif not isinstance(error, KilledWorker):
                     raise error
                 elif len(chunk) == 1:
+                    settle(chunk[0])
                     text = "the Dask workers that ran it died; mostly this means that memory was short"
                     yield chunk[0], fail(job, tasks[chunk[0]], Failure(tasks[chunk[0]].key, "crash", text))
+        except (OSError, CancelledError) as error:
+            text = f"the Dask scheduler was lost ({error or type(error).__name__}); start it and run again, "
+            raise UsageError(f"{text}what is complete is kept") from None
         finally:
-            if sent:
-                self.client.cancel(list(sent))
-            self.client.unregister_worker_plugin(name)
+            with contextlib.suppress(OSError, CancelledError):  # when it is gone, or a worker dies at this moment
+                if sent:
+                    self.client.cancel(list(sent))
+                self.client.unregister_worker_plugin(name)
+
+    def _register(self, plugin: Any, name: str) -> None:
+        """Give a plugin to all workers; again when one dies at this moment. Those that come later get it as well."""
+        for left in reversed(range(ATTEMPTS)):
+            try:
+                self.client.register_plugin(plugin, name=name)
+                return
+            except OSError as error:
+                if not left:
+                    raise GbidError(
+                        f"the Dask workers do not answer ({error}); look after them, then run again"
+                    ) from None
 
     def close(self) -> None:
         """Leave the scheduler, and end the workers that were started here."""
@@ -120,6 +156,23 @@ class DaskEngine:
                 f"{task.path}: a Dask worker made it, but it is not here; workers must see the same results folder"
             )
         return result
+
+
+def _local_cluster(n_workers: int) -> Any:
+    """Start workers on this machine; again when one of them dies before it has begun."""
+    import dask
+    from distributed import LocalCluster
+
+    options = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "host": "127.0.0.1"}
+    for trial in range(1, ATTEMPTS + 1):
+        try:
+            with dask.config.set({"distributed.worker.profile.enabled": False}):  # it takes a tenth of the time
+                return LocalCluster(n_workers=n_workers, **options)
+        except RuntimeError as error:
+            if trial == ATTEMPTS:
+                text = f"Dask workers cannot start ({' '.join(str(error).split())}); try --engine pool"
+                raise GbidError(text) from None
+    raise AssertionError
 
 
 def _carrier(shipped: bytes) -> Any:

@@ -8,7 +8,7 @@ import pickle
 import signal
 from collections import Counter, deque
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import connection as pipes
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -100,6 +100,8 @@ class ProcessPool:
                     number, result = message
                     if isinstance(result, str):
                         raise NoSpaceError(result)
+                    if waiting:  # before the outcome is looked at: the worker need not wait for that
+                        self._give(worker, waiting.popleft(), job, tasks)
                     yield number, result
         finally:
             self._stop([worker for worker in self._workers if worker.number is not None])
@@ -145,7 +147,7 @@ class ProcessPool:
         """Outcome of a task whose worker died; None when it is to be tried again."""
         there = standing(job, task)
         if there is not None and there.state == "kept":
-            return there
+            return replace(there, state="made")  # just before it died
         if times < ATTEMPTS:
             return None
         text = f"its process died {times} times ({how}); SIGKILL mostly means that memory was short"

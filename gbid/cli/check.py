@@ -49,7 +49,8 @@ def check(
                 }
             )
         elif not problems:
-            typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {len(spec.fits)} fits")
+            fits = f"{len(spec.fits)} fit{'s' * (len(spec.fits) != 1)}"
+            typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {fits}")
             typer.echo(f"results in {loaded.results}: about {size(needed)}, {size(free)} free", err=True)
         if problems:
             raise typer.Exit(code)

@@ -54,7 +54,7 @@ class PlainReporter:
     def begin(self, stage: str, item: str) -> None:
         """Remember what the iterations belong to."""
         self._line = _Line(f"{stage} {item}")
-        self._tally.begin()
+        self._tally.begin(stage, item)
 
     def iteration(self, progress: Progress) -> None:
         """Print every tenth iteration."""
@@ -98,8 +98,11 @@ class TerminalReporter:
     def begin(self, stage: str, item: str) -> None:
         """Show what is being done."""
         self._line = _Line(item)  # without the stage, so that an iteration has room on a line of 80
-        self._tally.begin()
-        self._status.update(self._tally.text() if self._tally.many else f"{stage} {item}")
+        self._tally.begin(stage, item)
+        if not self._tally.many:
+            self._status.update(f"{stage} {item}")
+        elif self._tally.running == 1 or not self._tally.done:
+            self._status.update(self._tally.text())  # else after the outcome that made room for it, which follows
 
     def iteration(self, progress: Progress) -> None:
         """Show the iteration."""
@@ -116,12 +119,12 @@ class TerminalReporter:
         """Leave a line with what became of the item; of one among many only when it failed."""
         tally = self._tally
         tally.end(outcome)
+        counted = tally.many and outcome.stage == tally.stage
+        if counted:
+            self._status.update(tally.text())
         if tally.is_named(outcome):
             self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
-        if not tally.many or outcome.stage != tally.stage:
-            return
-        self._status.update(tally.text())
-        if tally.todo and tally.done == tally.todo:
+        if counted and tally.todo and tally.done == tally.todo:
             self._console.print(tally.text(), markup=False, soft_wrap=True)
 
 

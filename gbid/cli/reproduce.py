@@ -31,13 +31,12 @@ def reproduce(
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages import Job
-        from gbid.report.paper.stage import reproduction_document, write_reproduction
+        from gbid.report.paper.stage import write_reproduction
         from gbid.report.paper.table import reproduction_table
 
         loaded = load_experiment(experiment, results)
         with reporting() as reporter:
-            outcomes, rows = write_reproduction(Job(loaded, overwrite, reporter))
-        document = reproduction_document(rows)
+            outcomes, document = write_reproduction(Job(loaded, overwrite, reporter))
         if output is not None:
             with atomic_path(output, overwrite=True) as part:
                 part.write_text(json.dumps(document, indent=1, allow_nan=False) + "\n", encoding="utf-8")

@@ -27,7 +27,8 @@ class Tally:
 
     def __init__(self, stage: str = "", todo: int = 0, there: int = 0, failed: int = 0) -> None:
         self.stage, self.todo, self.there, self.before = stage, todo, there, failed
-        self.begun = self.done = self.failed = self.stuck = 0
+        self.done = self.failed = self.stuck = 0
+        self._running: set[str] = set()
         self.worst, self.worst_item = math.inf, ""
         self._began = time.monotonic()
 
@@ -36,13 +37,22 @@ class Tally:
         """Whether the stage has many items."""
         return self.todo + self.there + self.before > MANY
 
-    def begin(self) -> None:
-        """Count an item that work begins on."""
-        self.begun += 1
+    @property
+    def running(self) -> int:
+        """Number of items that are worked on."""
+        return len(self._running)
+
+    def begin(self, stage: str, item: str) -> None:
+        """Count an item that work begins on, once however often it is begun."""
+        if stage == self.stage:
+            self._running.add(item)
 
     def end(self, outcome: Outcome) -> None:
         """Count what became of an item."""
-        if outcome.state == "made" or (outcome.state == "failed" and not outcome.before and self.begun):
+        if outcome.stage != self.stage:
+            return
+        if outcome.item in self._running:  # what was there, failed before or has no input is not to be made
+            self._running.remove(outcome.item)
             self.done += 1
             self.failed += outcome.state == "failed"
         self.stuck += outcome.state != "failed" and not outcome.converged
@@ -66,8 +76,7 @@ class Tally:
     def text(self) -> str:
         """Say how far the stage is."""
         parts = [f"{self.stage}: {self.done} of {self.todo} done"]
-        running = max(0, self.begun - self.done)
-        parts += [f"{running} running"] if running else []
+        parts += [f"{self.running} running"] if self.running else []
         parts += [f"{self.failed} failed"] if self.failed else []
         parts += [f"{self.stuck} not converged"] if self.stuck else []
         if 0 < self.done < self.todo:
