@@ -58,6 +58,8 @@ paper: $(VENV)/.installed  ## the whole paper: campaign to impacts, report, figu
 bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes the table that the docs show
 	$(BIN)/python -m benchmarks.fit_speed --output docs/benchmarks.json
 	$(BIN)/python -m benchmarks.rig_speed --output docs/rig-speed.json
+	$(BIN)/python -m benchmarks.tune_speed --output docs/tune-speed.json
+	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

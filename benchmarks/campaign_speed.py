@@ -1,26 +1,31 @@
 """Time a campaign of many small fits through each engine; print throughput, overhead per fit and memory.
 
-``python -m benchmarks.campaign_speed [--full] [--fits N] [--samples N] [--engines serial pool dask] [--workers N]``
+``python -m benchmarks.campaign_speed [--full] [--engines serial pool dask] [--workers N] [--output FILE]``
 
 Overhead is processor time of the runner and its workers per fit, from the second tenth of the fits on, less that of the
-fit alone: reading and checking the recording, keys, writing the result, the way to the worker and back. Processor time,
-because it does not depend on what else the machine does.
+fit alone: reading and checking the recording, keys, writing the result, the way to the worker and back. The fit alone
+is timed before and after, in as many processes at a time as there are workers: side by side they slow each other down,
+and that is no overhead.
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
 import json
 import os
 import tempfile
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import gbid
+from benchmarks.fit_speed import processor
 from gbid.campaign.collect import collect
 from gbid.campaign.run import run_campaign, working
 from gbid.experiment.keys import writing_keyed
@@ -31,8 +36,23 @@ from gbid.experiment.structures import make_structure
 from gbid.identify import fit
 from gbid.recording import load_recording, save_recording
 
+SHORT, FULL = 300, 5000
+"""Fits of a run that is soon done, and of one that shows whether memory stays flat."""
 _TICK = os.sysconf("SC_CLK_TCK")
 _NOISE = 30e-9  # m, new for each recording
+
+ROWS = {
+    "fits_per_core_s": "fits per second of a processor",
+    "cpu_per_fit_ms": "processor time of a fit in the campaign [ms]",
+    "fit_alone_ms": "of the fit alone [ms]",
+    "overhead_ms": "overhead [ms]",
+    "of_it_runner_ms": "of it in the runner [ms]",
+    "collect_ms": "table, for each fit [ms]",
+    "runner_mb": "memory of the runner [MB]",
+    "runner_growth_mb": "its growth over nine tenths of the fits [MB]",
+    "worker_mb": "memory of the largest worker [MB]",
+    "worker_growth_mb": "its growth [MB]",
+}
 
 YAML = """\
 format: 1
@@ -62,8 +82,17 @@ def make_campaign(folder: Path, fits: int, samples: int) -> Experiment:
     return experiment
 
 
-def time_of_a_fit(experiment: Experiment, repeats: int = 10) -> float:
+def time_of_fits(experiment: Experiment, processes: int) -> float:
+    """Processor time of a fit alone [s], the mean of processes side by side."""
+    if processes == 1:
+        return time_of_a_fit(experiment.file.path)
+    with get_context("spawn").Pool(processes) as pool:
+        return float(np.mean(pool.map(time_of_a_fit, [experiment.file.path] * processes, chunksize=1)))
+
+
+def time_of_a_fit(path: Path, repeats: int = 50) -> float:
     """Processor time of a fit alone [s], compiled and warm."""
+    experiment = load_experiment(path)
     names = list(experiment.recordings)[:repeats]
     data = [load_recording(experiment.results / "recordings" / f"{name}.h5") for name in names]
     structure = make_structure(experiment, "piezos")
@@ -103,8 +132,10 @@ class Meter(Silent):
         )
 
 
-def run_engine(experiment: Experiment, engine: str, workers: int, fit_s: float) -> dict[str, float | str]:
+def run_engine(experiment: Experiment, engine: str, workers: int) -> dict[str, float | str]:
     """Run the fits through one engine and sum up."""
+    n_workers = 1 if engine == "serial" else workers
+    alone = [time_of_fits(experiment, n_workers)]
     for old in (experiment.results / "fits").rglob("*.h5"):
         old.unlink()
     meter = Meter(len(experiment.recordings))
@@ -118,16 +149,17 @@ def run_engine(experiment: Experiment, engine: str, workers: int, fit_s: float) 
     first, last = meter.looks
     count = last["done"] - first["done"]
     cpu = (last["cpu_s"] - first["cpu_s"]) / count
-    n_workers = 1 if engine == "serial" else workers
+    runner = (last["runner_cpu_s"] - first["runner_cpu_s"]) / count
+    fit_s = float(np.mean([*alone, time_of_fits(experiment, n_workers)]))
     return {
         "engine": engine,
         "fits": len(table),
         "fits_per_core_s": 1.0 / cpu,
         "wall_per_fit_ms": 1e3 * n_workers * (last["wall_s"] - first["wall_s"]) / count,
         "cpu_per_fit_ms": 1e3 * cpu,
-        "of_it_runner_ms": 1e3 * (last["runner_cpu_s"] - first["runner_cpu_s"]) / count,
         "fit_alone_ms": 1e3 * fit_s,
         "overhead_ms": 1e3 * (cpu - fit_s),
+        "of_it_runner_ms": 1e3 * (runner - fit_s if engine == "serial" else runner),
         "collect_ms": 1e3 * collecting / len(table),
         "runner_mb": last["runner_mb"],
         "runner_growth_mb": last["runner_mb"] - first["runner_mb"],
@@ -139,25 +171,50 @@ def run_engine(experiment: Experiment, engine: str, workers: int, fit_s: float) 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark."""
     parser = argparse.ArgumentParser(prog="benchmarks.campaign_speed", description="Time a campaign of small fits.")
-    parser.add_argument("--full", action="store_true", help="5 000 fits")
-    parser.add_argument("--fits", type=int, help="number of fits; 200 when not given")
+    parser.add_argument("--full", action="store_true", help=f"{FULL} fits")
+    parser.add_argument("--fits", type=int, help=f"number of fits; {SHORT} when not given")
     parser.add_argument("--samples", type=int, default=1000, help="samples of a recording")
     parser.add_argument("--engines", nargs="+", default=["serial", "pool", "dask"])
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--json", action="store_true", help="print the numbers as JSON")
+    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file, beside runs of other lengths")
     options = parser.parse_args(arguments)
-    fits = options.fits or (5000 if options.full else 200)
+    fits = options.fits or (FULL if options.full else SHORT)
     with tempfile.TemporaryDirectory() as folder:
         experiment = make_campaign(Path(folder), fits, options.samples)
-        fit_s = time_of_a_fit(experiment)
-        rows = [run_engine(experiment, engine, options.workers, fit_s) for engine in options.engines]
-    if options.json:
-        print(json.dumps(rows, indent=2))
-        return 0
-    for key in rows[0]:
-        shown = (row[key] if isinstance(row[key], str | int) else f"{row[key]:.1f}" for row in rows)
-        print(f"{key:18}" + "".join(f"{value:>12}" for value in shown))
+        run = {
+            "date": datetime.date.today().isoformat(),
+            "processor": processor(),
+            "gbid": gbid.__version__,
+            "fits": fits,
+            "samples": options.samples,
+            "workers": options.workers,
+            "engines": [run_engine(experiment, engine, options.workers) for engine in options.engines],
+        }
+    if options.output:
+        store(run, options.output)
+    print(json.dumps(run, indent=2) if options.json else campaign_table(run))
     return 0
+
+
+def store(run: dict[str, Any], path: Path) -> None:
+    """Write a run to a file; it takes the place of an earlier one of as many fits."""
+    there = json.loads(path.read_text(encoding="utf-8")) if path.exists() else []
+    runs = sorted([*(old for old in there if old["fits"] != run["fits"]), run], key=lambda each: int(each["fits"]))
+    path.write_text(json.dumps(runs, indent=2) + "\n", encoding="utf-8")
+
+
+def campaign_table(run: dict[str, Any]) -> str:
+    """The numbers as Markdown."""
+    engines = run["engines"]
+    lines = [
+        f"| {run['fits']} fits of {run['samples']} samples | {' | '.join(row['engine'] for row in engines)} |",
+        "|---|" + "---|" * len(engines),
+    ]
+    for key, text in ROWS.items():
+        lines.append(f"| {text} | {' | '.join(f'{row[key]:.1f}' for row in engines)} |")
+    about = f"{run['workers']} workers, {run['processor']}, {run['date']}, gbid {run['gbid']}."
+    return "\n".join([*lines, "", about])
 
 
 def _processes(engine: Any) -> Any:

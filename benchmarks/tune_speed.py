@@ -1,45 +1,108 @@
-"""Time the tuner against brute force in one run.
+"""Time the tuner against brute force in one run; print a table, store the numbers.
 
-``python -m benchmarks.tune_speed [--quick] [--biquad]``
+``python -m benchmarks.tune_speed [--quick] [--polish N] [--output FILE]``
 """
 
 from __future__ import annotations
 
 import argparse
+import datetime
+import json
 from collections.abc import Sequence
+from pathlib import Path
 from time import process_time
+from typing import Any
 
 import gbid
+from benchmarks.fit_speed import processor
 from benchmarks.tune_brute import Loops, brute_force
+from gbid.threads import one_blas_thread
+
+_ONE = [(6.0, 0.0)]
+_CAPS = (None, 2.6)
+_BIQUAD_CAPS = (2.0, 2.6)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the benchmark; processor time, so that it holds beside other programs."""
-    parser = argparse.ArgumentParser(prog="benchmarks.tune_speed", description="Time the tuning of two P gains.")
-    parser.add_argument("--quick", action="store_true", help="one operating point only")
-    parser.add_argument("--biquad", action="store_true", help="tune one second-order filter per axis as well")
+    parser = argparse.ArgumentParser(prog="benchmarks.tune_speed", description="Time the tuning of controllers.")
+    parser.add_argument("--quick", action="store_true", help="one operating point and few starts, to see that it works")
+    parser.add_argument("--polish", type=int, default=5, help="how many grid points brute force polishes (default 5)")
+    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
     options = parser.parse_args(arguments)
+    with one_blas_thread():
+        run = measure(options.quick, 1 if options.quick else options.polish)
+    if options.output:
+        options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
+    print(tune_table(run))
+    return 0
+
+
+def measure(quick: bool, polish: int) -> dict[str, Any]:
+    """Two P gains beside brute force, and a second-order filter per axis beside the P gains."""
     model = gbid.load_model("theisen2016")
-    gbid.tune(model, operating_points=[(6, 0)])  # imports and first calls are not counted
-    print("| points | cap | tune [s] | brute force [s] | ratio | tune reaches | brute force reaches |")
-    print("|---|---|---|---|---|---|---|")
-    one = [(6.0, 0.0)]
-    for points in [one] if options.quick else [one, list(model.operating_points)]:
-        for cap in (None, 2.6):
+    every = list(model.operating_points)
+    gbid.tune(model, operating_points=_ONE)  # imports and first calls are not counted
+    brute, biquad = [], []
+    for points in [_ONE] if quick else [_ONE, every]:
+        for cap in _CAPS:
             began = process_time()
             ours = gbid.tune(model, operating_points=points, peak_sensitivity=cap)
             middle = process_time()
             # brute force is given a floor from the answer: without it, its grid alone takes far longer
-            theirs = brute_force(Loops(model, points), cap, ours.value - 0.03, polish=3 if options.quick else 20)
-            end = process_time()
-            times = f"{middle - began:.2f} | {end - middle:.1f} | {(end - middle) / (middle - began):.0f}"
-            print(f"| {len(points)} | {cap} | {times} | {ours.value:.6f} | {theirs.value:.6f} |")
-    if options.biquad:
-        for points in (one, list(model.operating_points)):
+            theirs = brute_force(Loops(model, points), cap, ours.value - 0.03, polish)
+            times = {"cpu_s": middle - began, "brute_cpu_s": process_time() - middle}
+            brute.append(
+                {"n_points": len(points), "cap": cap, "damping": ours.value, "brute_damping": theirs.value, **times}
+            )
+    for points in [_ONE] if quick else [_ONE, every]:
+        for cap in _BIQUAD_CAPS:
             began = process_time()
-            ours = gbid.tune(model, operating_points=points, controller="biquad", peak_sensitivity=2.0)
-            print(f"biquad, {len(points)} points, cap 2.0: {process_time() - began:.0f} s, damping {ours.value:.4f}")
-    return 0
+            ours = gbid.tune(
+                model,
+                operating_points=points,
+                controller="biquad",
+                peak_sensitivity=cap,
+                starts=1 if quick else None,
+            )
+            spent = process_time() - began
+            plain = gbid.tune(model, operating_points=points, peak_sensitivity=cap)
+            biquad.append(
+                {"n_points": len(points), "cap": cap, "damping": ours.value, "p_damping": plain.value, "cpu_s": spent}
+            )
+    return {
+        "date": datetime.date.today().isoformat(),
+        "processor": processor(),
+        "gbid": gbid.__version__,
+        "polished": polish,
+        "proportional": brute,
+        "biquad": biquad,
+    }
+
+
+def tune_table(run: dict[str, Any]) -> str:
+    """The numbers as Markdown."""
+    lines = [
+        "| P gains: points | cap | tune [CPU s] | brute force [CPU s] | ratio | damping | of brute force |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    for row in run["proportional"]:
+        ratio = row["brute_cpu_s"] / row["cpu_s"]
+        lines.append(
+            f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.2f} | {row['brute_cpu_s']:.1f} | {ratio:.0f} | "
+            f"{row['damping']:.6f} | {row['brute_damping']:.6f} |"
+        )
+    lines += ["", "| biquad: points | cap | tune [CPU s] | damping | of P gains | ratio |", "|---|---|---|---|---|---|"]
+    for row in run["biquad"]:
+        lines.append(
+            f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.1f} | {row['damping']:.4f} | "
+            f"{row['p_damping']:.4f} | {row['damping'] / row['p_damping']:.2f} |"
+        )
+    return "\n".join([*lines, "", f"{run['processor']}, {run['date']}, gbid {run['gbid']}."])
+
+
+def _cap(row: dict[str, Any]) -> str:
+    return "none" if row["cap"] is None else f"{row['cap']:g}"
 
 
 if __name__ == "__main__":

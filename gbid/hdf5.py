@@ -32,12 +32,32 @@ def writing(path: str | Path, kind: str, overwrite: bool = False) -> Iterator[h5
     overwrite : bool
         Whether an existing file may be replaced.
     """
-    with atomic_path(Path(path), overwrite) as part, h5py.File(part, "w") as file:
+    with atomic_path(Path(path), overwrite) as part, _through_memory(part, "w") as file:
         file.attrs["gbid_kind"] = kind
         file.attrs["schema_version"] = SCHEMA_VERSION
         file.attrs["creator"] = f"gbid {__version__}"
         file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
         yield file
+
+
+@contextlib.contextmanager
+def changing(path: Path) -> Iterator[h5py.File]:
+    """Open an HDF5 file to be changed; it is written when the block ends well."""
+    with _through_memory(path, "r+") as file:
+        yield file
+
+
+@contextlib.contextmanager
+def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
+    """Give a file that is in memory only, and write its bytes at the end.
+
+    On a full disk the library of HDF5 cannot close a file of its own, and crashes the process when it ends.
+    """
+    with h5py.File(path, mode, driver="core", backing_store=False) as file:
+        yield file
+        file.flush()
+        image = file.id.get_file_image()
+    path.write_bytes(image)
 
 
 @contextlib.contextmanager

@@ -124,6 +124,17 @@ def impact():
     return report.plot_impact(report.ImpactCurves(time, responses, forces, "x", POINT))
 
 
+def impact_loops():
+    time = 2e-4 * np.arange(-25, 250)
+    since = np.maximum(time, 0)
+    mean = {
+        name: 8e-6 * np.column_stack([np.exp(-d * since) * np.sin(w * since) for w in (800, 840)])
+        for name, d in (("open loop", 25), ("published gains", 300), ("biquad", 600))
+    }
+    spread = {name: np.full_like(values, 3e-7) for name, values in mean.items()}
+    return report.plot_impact_loops(report.ImpactLoops(time, mean, spread, POINT))
+
+
 def piezo_staircases():
     steps = np.array([*range(0, 11), *range(9, -1, -1)], float)
     command, time = np.repeat(steps, 200), 2e-3 * np.arange(200 * len(steps))
@@ -183,7 +194,8 @@ FIGURES = {
     case.__name__: case
     for case in (
         surfaces, damping_surfaces, gain_surfaces, delays, modes, damping_factors, static_gains, histograms, actuators,
-        static_map, sensitivity, bode, impact, hysteresis, staircase, pareto, damping_map, eigenvalues, root_locus,
+        static_map, sensitivity, bode, impact, impact_loops, hysteresis, staircase, pareto, damping_map, eigenvalues,
+        root_locus,
     )
 }  # fmt: skip
 FIGURES |= {

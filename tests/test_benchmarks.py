@@ -32,9 +32,15 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run["n_unknowns"] == N_UNKNOWNS == 24
 
 
-def test_campaign_of_a_few_fits(capsys: pytest.CaptureFixture[str]) -> None:
-    assert campaign_speed.main(["--fits", "12", "--engines", "serial", "--json"]) == 0
-    (row,) = json.loads(capsys.readouterr().out)
+def test_campaign_of_a_few_fits(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stored = tmp_path / "speed.json"
+    other = {"fits": 5000}
+    stored.write_text(json.dumps([other, {"fits": 12}]))
+    assert campaign_speed.main(["--fits", "12", "--engines", "serial", "--json", "--output", str(stored)]) == 0
+    run = json.loads(capsys.readouterr().out)
+    assert json.loads(stored.read_text()) == [run, other]
+    assert "| 12 fits of 1000 samples | serial |" in campaign_speed.campaign_table(run)
+    (row,) = run["engines"]
     assert (row["engine"], row["fits"]) == ("serial", 12)
     assert row["cpu_per_fit_ms"] > 0
     assert row["runner_mb"] > 0

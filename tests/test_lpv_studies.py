@@ -35,25 +35,41 @@ def held_out_percent(fit, results, recordings):
     return float(np.mean(rows))
 
 
-@pytest.mark.parametrize(("scatter", "noise"), [(0.0, 30e-9), (0.01, 30e-9), (0.01, 300e-9)])
-def test_campaign_recovers_the_truth(scatter, noise):
-    """86 short recordings; the structure has no error of its own, so all that is off is chance."""
+@pytest.mark.parametrize(
+    ("scatter", "noise", "focus", "at_most"),
+    [
+        (0.0, 30e-9, "simulation", 1.1),
+        (0.01, 30e-9, "simulation", 1.05),
+        (0.01, 300e-9, "simulation", 1.05),
+        (0.005, 300e-9, "prediction", 0.85),  # one in four single fits does not converge
+    ],
+)
+def test_campaign_recovers_the_truth(scatter, noise, focus, at_most):
+    """86 short recordings; the structure has no error of its own, so all that is off is chance.
+
+    `at_most`: error of the one-shot surfaces over that of the two-step ones, geometric mean over the parameters.
+    """
     rng = np.random.default_rng(7)
     recordings = [
         recorded(point, i, n=1000, scatter=scatter, noise=noise, rng=rng) for i, (point, _) in enumerate(CAMPAIGN)
     ]
     held_out = [recorded(p, 900 + i, n=1000, scatter=scatter, noise=noise, rng=rng) for i, p in enumerate(POINTS)]
-    fits = [gbid.fit(EXACT, r, focus="simulation", fixed=FIXED) for r in recordings]
+    fits = [gbid.fit(EXACT, r, focus=focus, fixed=FIXED) for r in recordings]
     two = gbid.fit_lpv(fits, [point for point, _ in CAMPAIGN], actuators=FIXED)
-    one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus="simulation", fixed=FIXED)
+    one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus=focus, fixed=FIXED)
     assert one.success
-    percent = {}
+    print(f"scatter {scatter}, noise {noise}, {focus}: {sum(not f.success for f in fits)} fits did not converge")
+    percent, rms = {}, {}
     for name, fit in (("two", two), ("one", one)):
         error, z = errors(fit)
         share = (np.abs(z) < 3).mean(axis=0)
         print(f"{name}: within 3 std {share.mean():.3f}, least of a parameter {share.min():.3f}, z {z.std():.2f}")
-        print("   rms over mean size:", np.sqrt(np.mean(error**2, axis=0)) / np.abs(two.surface).mean(axis=0))
+        rms[name] = np.sqrt(np.mean(error**2, axis=0))
+        print("   rms over mean size:", rms[name] / np.abs(two.surface).mean(axis=0))
         assert share.mean() > 0.95
         percent[name] = held_out_percent(fit, fits, held_out)
     print("held out:", percent, [(d.name, d.rms, d.published_rms) for d in two.deviations])
+    ratio = rms["one"] / rms["two"]
+    print("one-shot over two-step:", ratio.round(2), f"geometric mean {np.exp(np.log(ratio).mean()):.3f}")
     assert percent["one"] > percent["two"] - 0.1
+    assert np.exp(np.log(ratio).mean()) < at_most

@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 import gbid
 from gbid.control.closed_matrices import families_of, loop_equations
@@ -34,10 +35,12 @@ def test_delayed_first_order_loop_has_its_best_decay_at_the_double_pole(a: float
 
 def test_two_masses_and_a_spring_come_near_the_published_decay() -> None:
     # D. Henrion, M. L. Overton, "Maximizing the closed loop asymptotic decay rate for the two-mass-spring control
-    # problem", 2006: the plant 1/(s^2 (s^2 + 2)) with a controller of order two decays at most with sqrt(15)/5. The
-    # closed loop is s^6 + x1 s^5 + (2 + x0) s^4 + 2 x1 s^3 + ...: its coefficients are free but for c3 = 2 c5, and
-    # (s + r)^6 has c3/c5 = 20 r^3 / 6 r = 2 for r = sqrt(15)/5. Six eigenvalues meet there, which moves them by
-    # the sixth root of any error; the tuner follows meetings of two.
+    # problem", 2006: the plant 1/(s^2 (s^2 + 2)) with a controller of order two. The closed loop is
+    # s^6 + x1 s^5 + (2 + x0) s^4 + 2 x1 s^3 + ...: its coefficients are free but for c3 = 2 c5. No decay r is larger
+    # than sqrt(15)/5: in p(s) = sum q_k (s + r)^k the q are not negative when all roots lie left of -r, so that
+    # c3 - 2 c5 = q3 + 4 r q4 + (10 r^2 - 2) q5 + 20 r^3 - 12 r is positive for r^2 > 3/5, and zero for (s + r)^6 with
+    # r^2 = 3/5. Six eigenvalues meet there, which moves them by the sixth root of any error; the tuner follows
+    # meetings of two.
     g = ca.SX.sym("g", 5)
     x1, x0, y2, y1, y0 = ca.vertsplit(g)
     A = ca.SX.zeros(6, 6)
@@ -50,6 +53,44 @@ def test_two_masses_and_a_spring_come_near_the_published_decay() -> None:
     result = gbid.maximise_damping(function, ["x1", "x0", "y2", "y1", "y0"], -10, 10, "decay", starts=8)
     assert 0.88 * best < result.value <= best + 1e-6
     assert np.linalg.eigvals(np.array(function(list(result.gains.values())))).real.max() == pytest.approx(-result.value)
+
+
+def test_static_output_feedback_of_a_helicopter() -> None:
+    # The plant of L. H. Keel, S. P. Bhattacharyya, J. W. Howze, "Robust control with structured perturbations", IEEE
+    # Trans. Automatic Control 33, 1988 (HE1 in the collection COMPleib): two inputs, one output, so two gains.
+    A = np.array(
+        [
+            [-0.0366, 0.0271, 0.0188, -0.4555],
+            [0.0482, -1.01, 0.0024, -4.0208],
+            [0.1002, 0.3681, -0.707, 1.42],
+            [0.0, 0.0, 1.0, 0.0],
+        ]
+    )
+    B = np.array([[0.4422, 0.1761], [3.5446, -7.5922], [-5.52, 4.49], [0.0, 0.0]])
+    C = np.array([[0.0, 1.0, 0.0, 0.0]])
+    assert -np.linalg.eigvals(A).real.max() < 0
+    g = ca.SX.sym("g", 2)
+    result = gbid.maximise_damping(ca.Function("A", [g], [A + B @ g @ C]), ["a", "b"], -10, 10, "decay")
+
+    def decay(gains: np.ndarray) -> np.ndarray:
+        loops = A + (np.clip(gains, -10, 10) @ B.T)[..., :, None] * C[0]
+        return -np.linalg.eigvals(loops).real.max(axis=-1)
+
+    axis = np.linspace(-10, 10, 201)
+    grid = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1).reshape(-1, 2)
+    brute = max(
+        -minimize(lambda k: -decay(k), start, method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-12}).fun
+        for start in grid[np.argsort(-decay(grid))[:20]]
+    )
+    assert result.success
+    assert result.value == pytest.approx(brute, abs=1e-8)
+    assert result.active == ("b at its upper bound",)
+    # Gains without bounds: three eigenvalues tend to the zeros of (s I - A, B k, C), one to minus infinity.
+    limit = max(
+        -np.roots(np.polysub(np.poly(A - (B @ [np.cos(t), np.sin(t)])[:, None] * C), np.poly(A))[1:]).real.max()
+        for t in np.linspace(0, np.pi, 4001)
+    )
+    assert result.value < limit < 1.05 * result.value
 
 
 def test_functions_of_several_sizes_are_tuned_together() -> None:
@@ -175,3 +216,20 @@ def test_peaks_are_the_exact_norms() -> None:
         exact = gbid.sensitivities(model.plant_at(*point), controller).peak("output")
         assert peaks.value[peaks.loop == i].max() == pytest.approx(exact.value, rel=1e-7)
     assert peak_slopes(derivatives, slice(0, 2), peaks)[1] == pytest.approx(peaks.value, rel=1e-9)
+
+
+def test_direct_calls_give_what_casadi_gives() -> None:
+    problem, x = paper_problem("biquad")
+    family = problem.families[0]
+    loops = family.derivatives(x)
+    n, d = loops.A.shape[-1], len(x)
+    for i in range(len(family)):
+        for M, function in ((loops.A, family.function), (loops.dA, family.jacobian)):
+            whole = function(x)[0].full()
+            block = np.split(whole, len(family), axis=1)[i]
+            expected = block if M is loops.A else block.reshape(n, n, d, order="F").transpose(2, 0, 1)
+            np.testing.assert_array_equal(M[i], expected)
+    # what was given before is not overwritten by the next call
+    before = loops.A.copy()
+    family.derivatives(0.5 * x)
+    np.testing.assert_array_equal(loops.A, before)

@@ -247,6 +247,8 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
     assert left_out["table3_natural_frequencies"] == "no section 'impacts'; add one"
     assert set(left_out) == {
         *wanted[2:],
+        "designs",
+        "designs_impacts",
         "table3_natural_frequencies",
         "table4_damping_factors",
         "tableB6_coefficients",
@@ -280,7 +282,12 @@ def test_rows_without_results_are_missing_with_the_reason(small):
     text = reproduction_markdown(stage.reproduction_document(list(rows.values())))
     assert text.count("\n| ") == 1 + len(rows)
     result = call("reproduce", path, "--results", out, "--json")
-    assert len(json.loads(result.stdout)["rows"]) == len(NUMBERS)
+    document = json.loads(result.stdout)
+    assert len(document["rows"]) == len(NUMBERS)
+    assert document["past_the_paper"] == []  # no section 'controller'
+    for name, row in rows.items():  # the published model needs no results
+        if name.startswith(("model_", "tuned_")):
+            assert row.verdict == ("explained" if name == "tuned_kappa_x" else "within"), name
     assert (out / "reproduction.csv").read_text().count("\n") == len(NUMBERS) + 2
 
 

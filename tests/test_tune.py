@@ -8,6 +8,8 @@ import pytest
 import gbid
 from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
 from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
+from gbid.control.closed_matrices import loop_equations
+from gbid.control.travel import travel_limit
 from gbid.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -135,7 +137,25 @@ def test_piezo_travel_limits_the_gains() -> None:
     assert travel(dict(result.gains)) <= allowed * (1 + 1e-5)
     assert travel(dict(result.gains)) >= 0.99 * allowed
     assert result.value < free.value
-    assert "piezo travel" in result.active
+    assert "piezo travel at 6 bar, 0 rpm" in result.active
+
+
+def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
+    structure = gbid.controller_structure("biquad")
+    gains = {"b0": 0.9, "b1": -1.5, "b2": -2.0, "frequency": 0.4, "damping": 0.6}
+    values = {p.name: gains[p.name[:-2]] * (1.1 if p.name.endswith("x") else 1.0) for p in structure.parameters}
+    points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
+    family = loop_equations(MODEL, structure).family(points)
+    blow = HalfSine(peak_n=9.0, duration_s=1.5e-3)
+    limit = travel_limit(MODEL.plant_at(3, 0), blow, 45e-6)
+    found = limit.function(family, np.array(list(values.values())))
+    assert limit.limit == 22.5e-6
+    for point, value in zip(points, found, strict=True):
+        plant, controller = MODEL.plant_at(*point), controller_at(structure, values, *point)
+        peaks = [impact_response(plant, controller, blow.towards(a), duration_s=0.05).peak_r_m for a in (0, 90)]
+        assert value == pytest.approx(max(peaks), rel=2e-6)
+    unstable = limit.function(family, np.array([5.0, 5.0, *list(values.values())[2:]]))
+    assert unstable == pytest.approx(1e3 * limit.limit)
 
 
 def test_decay_and_a_corner_that_is_tuned() -> None:
@@ -211,6 +231,18 @@ def test_uncertain_plants_are_held_too() -> None:
         loop = gbid.close_loop(plant, p_controller(**result.gains))
         assert min(zeta for _, zeta in loop.modes()) >= result.value - 1e-9
         assert gbid.sensitivities(plant, p_controller(**result.gains)).peak("output").value <= 2.6 * (1 + 1e-6)
+
+
+@pytest.mark.parametrize("cap", [None, 2.6])
+def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(
+    monkeypatch: pytest.MonkeyPatch, cap: float | None
+) -> None:
+    whole = gbid.tune(MODEL, peak_sensitivity=cap)
+    monkeypatch.setattr("gbid.control.tuning._MANY", 5)
+    added = gbid.tune(MODEL, peak_sensitivity=cap)
+    assert added.value == pytest.approx(whole.value, abs=1e-7)
+    assert added.gains == pytest.approx(dict(whole.gains), abs=1e-5)
+    assert added.verified_on == whole.verified_on
 
 
 def test_draws_follow_their_covariance() -> None:

@@ -17,6 +17,7 @@ from gbid.experiment.impact_plan import controller_at
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job, run_tuning
 from gbid.experiment.stages.tuning import PUBLISHED
+from gbid.share import share_folder
 
 MODEL = gbid.load_model("theisen2016")
 RIG = """\
@@ -139,6 +140,38 @@ def test_limits_that_contradict_are_an_outcome_with_the_least_violating_design(t
     assert call("tune", path).exit_code == 4  # kept, and still said
 
 
+def test_bounds_without_a_stabilising_gain_name_point_and_mode(tmp_path):
+    text = RIG + (
+        "controller:\n"
+        "  none: {bounds: {kappa_x: [-3, -1], kappa_y: [-3, -1]}, operating_points: "
+        "[{pressure_bar: 3, speed_rpm: 0}, {pressure_bar: 7, speed_rpm: 0}]}\n"
+    )
+    path = write_quick(tmp_path, text=text)
+    result = call("tune", path, "--json")
+    assert result.exit_code == 4
+    assert "no stabilising gains" in result.stderr
+    design = json.loads(result.stdout)["tuning"][0]
+    poles = {n: gbid.close_loop(MODEL.plant_at(n, 0), gbid.control.p_controller(-1, -1)).poles() for n in (3, 7)}
+    bar = max(poles, key=lambda n: poles[n].real.max())
+    worst = poles[bar][poles[bar].real.argmax()]
+    assert f"{bar} bar, 0 rpm" in design["notes"][-1]
+    mode = f"{abs(worst) / (2 * np.pi):.4g} Hz and damping {-worst.real / abs(worst):.4g}"
+    assert mode in design["notes"][-1]
+    printed = call("tune", path)
+    assert printed.exit_code == 4
+    assert design["notes"][-1] in " ".join(printed.stdout.split())
+
+
+def test_unstable_open_loop_is_said(tmp_path):
+    text = (share_folder("models") / "theisen2016.yaml").read_text(encoding="utf-8")
+    assert text.count("d_xx: [-1.855e+05,") == 1
+    (tmp_path / "growing.yaml").write_text(text.replace("d_xx: [-1.855e+05,", "d_xx: [-0.555e+05,"), encoding="utf-8")
+    text = RIG + ("controller:\n  p: {model: growing.yaml, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}\n")
+    result = call("tune", write_quick(tmp_path, text=text))
+    assert result.exit_code == 0, result.output
+    assert "the open loop is not stable at 6 bar, 0 rpm" in result.stdout
+
+
 def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     text = RIG + (
         "controller:\n"
@@ -208,6 +241,7 @@ def test_worst_figures_are_those_of_the_assessment():
         ("{p: {schedule: [P]}}", ("controller.p.schedule", "'1' among them")),
         ("{p: {pareto: [0.9]}}", ("controller.p.pareto[0]", "must be above 1")),
         ("{p: {peak_sensitivity: 1}}", ("controller.p.peak_sensitivity", "must be above 1")),
+        ("{p: {operating_points: []}}", ("controller.p.operating_points", "at least one operating point")),
         ("{p: {operating_points: all}}", ("controller.p.operating_points: expected the word model or domain", "'all'")),
         ("{p: {operating_points: [{pressure_bar: 9, speed_rpm: 0}]}}", ("points[0].pressure_bar", "3 to 7")),
         ("{p: {operating_points: [{pressure_bar: 6, speed_rpm: 0, speed: 1}]}}", ("points[0].speed:", "unknown key")),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
 from gbid.errors import DataError, UsageError
@@ -78,6 +79,20 @@ class PiezoCurve:
     channel: str
     units: tuple[str, str]
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        unit, share = self.units[1], 100 * self.hysteresis_share
+        hysteresis = f"{self.hysteresis:.4g} +- {self.hysteresis_std:.2g} {unit}, {share:.3g} % of the range"
+        return brief(
+            self,
+            f"{self.name}, {self.channel}, {len(self.command)} plateaus",
+            command=self.command,
+            position=self.position,
+            hysteresis=hysteresis,
+            creep=self.creep,
+            uniformity=self.uniformity,
+            notes=self.notes,
+        )
 
 
 def characterise_piezo(

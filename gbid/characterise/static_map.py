@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import stdtrit
 
+from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.recording import FloatArray
 
@@ -89,6 +90,19 @@ class StaticMap:
     conditions: Mapping[str, float] = field(default_factory=dict)
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            f"{len(self.sources)} recordings, {len(self.axis)} plateaus",
+            input_names=self.input_names,
+            output_names=self.output_names,
+            gain=self.gain,
+            rms=self.rms,
+            largest=self.largest,
+            hysteresis=self.hysteresis,
+            notes=self.notes,
+        )
 
     @property
     def gain_std(self) -> FloatArray:

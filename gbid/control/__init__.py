@@ -1,6 +1,7 @@
 """Controllers, closed loops, damping, and what a design is worth."""
 
 from gbid.control.assess import Assessment, assess
+from gbid.control.blow_figures import BlowFigures
 from gbid.control.blows import Blow, find_blows
 from gbid.control.compare import Comparison, compare_designs
 from gbid.control.controller_file import load_controller, save_controller
@@ -45,6 +46,7 @@ __all__ = [
     "Assessment",
     "BiquadStructure",
     "Blow",
+    "BlowFigures",
     "Comparison",
     "ControllerDesign",
     "DiskMargin",

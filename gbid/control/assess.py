@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from gbid.brief import brief
 from gbid.control.impact import HalfSine
 from gbid.control.point_assessment import FIGURES, LOWEST_IS_WORST, PointAssessment, assess_point
 from gbid.control.sampling import Method
@@ -45,6 +46,16 @@ class Assessment:
     computation_s: float
     method: str
     impact: HalfSine
+
+    def __repr__(self) -> str:
+        worst = {
+            name: f"{value:.5g} at {point.pressure_bar:g} bar, {point.speed_rpm:g} rpm"
+            for name, (value, point) in self.worst.items()
+        }
+        about = (
+            f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
+        )
+        return brief(self, about, gains=self.gains, **worst)
 
     @property
     def stable(self) -> bool:

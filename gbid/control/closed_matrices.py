@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gbid.control.direct_call import DirectCall
 from gbid.control.scheduled import Scheduled
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
@@ -21,20 +22,32 @@ FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Derivatives:
-    """Matrices of all loops at one vector of gains, and their derivatives by each gain.
-
-    A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d); each derivative has the d gains as second axis.
-    """
+class Loops:
+    """Matrices of loops: A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d)."""
 
     A: FloatArray
     B: FloatArray
     C: FloatArray
     D: FloatArray
+
+
+@dataclass(frozen=True)
+class Derivatives(Loops):
+    """Matrices of loops, and their derivatives by each gain, which have the d gains as second axis."""
+
     dA: FloatArray
     dB: FloatArray
     dC: FloatArray
     dD: FloatArray
+
+    def of(self, loops: npt.NDArray[np.intp]) -> Derivatives:
+        """Return some of the loops."""
+        return Derivatives(*(getattr(self, entry.name)[loops] for entry in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Derivatives]) -> Derivatives:
+        """Return the loops of all parts, one part after the other."""
+        return cls(*(np.concatenate([getattr(part, entry.name) for part in parts]) for entry in fields(cls)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,38 +73,32 @@ class LoopFamily:
     labels: tuple[str, ...]
     points: FloatArray | None = None
     n_outputs: int = 0
-    _remembered: dict[bytes, Any] = field(default_factory=dict, repr=False)
+    _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._calls.update(matrices=DirectCall(self.function, len(self)), slopes=DirectCall(self.jacobian, len(self)))
 
     def __len__(self) -> int:
         return len(self.labels)
 
-    def matrices(self, gains: FloatArray) -> tuple[FloatArray, ...]:
-        """Return A, B, C, D, each (m, rows, columns)."""
-        return tuple(_stack(M, len(self)) for M in self.function(gains))
+    def matrices(self, gains: FloatArray) -> Loops:
+        """Return the matrices of all loops."""
+        return Loops(*self._calls["matrices"](gains))
 
     def states(self, gains: FloatArray) -> FloatArray:
         """Return A (m, n, n)."""
-        return self.matrices(gains)[0]
+        return self.matrices(gains).A
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
-        """Return the matrices with their derivatives; the last ones are remembered."""
-        key = gains.tobytes()
-        if key not in self._remembered:
-            self._remembered.clear()
-            values = self.matrices(gains)
-            slopes = [
-                _stack(J, len(self)).transpose(0, 2, 1).reshape(len(self), len(gains), M.shape[2], M.shape[1])
-                for J, M in zip(self.jacobian(gains), values, strict=True)
-            ]
-            self._remembered[key] = Derivatives(*values, *(J.transpose(0, 1, 3, 2) for J in slopes))
-        derivatives: Derivatives = self._remembered[key]
-        return derivatives
-
-
-def _stack(side_by_side: ca.DM, m: int) -> FloatArray:
-    """Turn (rows, columns m) into (m, rows, columns)."""
-    full = side_by_side.full()
-    return np.ascontiguousarray(full.reshape(full.shape[0], m, full.shape[1] // m).transpose(1, 0, 2))
+        """Return the matrices with their derivatives."""
+        values = self._calls["matrices"](gains)
+        slopes = (
+            np.ascontiguousarray(
+                J.transpose(0, 2, 1).reshape(len(self), len(gains), M.shape[2], M.shape[1]).transpose(0, 1, 3, 2)
+            )
+            for J, M in zip(self._calls["slopes"](gains), values, strict=True)
+        )
+        return Derivatives(*values, *slopes)
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:

@@ -43,6 +43,9 @@ class Comparison:
     values: tuple[tuple[float, ...], ...]
     rows: tuple[tuple[str, ...], ...]
 
+    def __repr__(self) -> str:
+        return str(self)
+
     def __str__(self) -> str:
         """Return an aligned table."""
         table = (self.columns, *self.rows)

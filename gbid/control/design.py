@@ -99,5 +99,11 @@ class ControllerDesign:
         return controller_at(self.structure, self.gains, *point)
 
     def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
-        """Return the controller sampled by its own method at its own sample time; see `at`."""
+        """Return the controller sampled by its own method at its own sample time; see `at`.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float, optional
+            As in `at`.
+        """
         return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)

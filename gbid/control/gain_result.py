@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
+from gbid.brief import brief
+
 Status = Literal["optimal", "iteration limit", "limits contradict", "no stabilising gains"]
 
 
@@ -106,6 +108,23 @@ class GainResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
+
+    def __repr__(self) -> str:
+        known = {
+            name: getattr(self, name)
+            for name in ("peak_sensitivity", "peak_control", "static_amplification")
+            if getattr(self, name) is not None
+        }
+        return brief(
+            self,
+            f"{self.objective} {self.value:.6g}, {self.status}",
+            gains=self.gains,
+            **known,
+            worst=f"{self.worst.where}, {self.worst.frequency_hz:.5g} Hz, damping {self.worst.damping:.4g}",
+            active=self.active,
+            verified_on=self.verified_on,
+            notes=self.notes,
+        )
 
     # A read-only view cannot be pickled: workers get a plain dict.
     def __getstate__(self) -> dict[str, Any]:

@@ -18,6 +18,8 @@ PENALTY = 10.0
 _GRID = {1: 61, 2: 25, 3: 9}
 """Points per gain of the grid for up to three gains."""
 _SHAKES = (0.0015, 0.005, 0.015, 0.05)
+_SHAKEN = 3
+"""How many designs that lie apart are shaken: the best after the first climb need not stay the best."""
 FEASIBLE = 1e-6
 """A limit exceeded by less, relative, is kept."""
 
@@ -29,20 +31,21 @@ class Effort:
     Parameters
     ----------
     starts : int, optional
-        Random starts. When not given: a grid for up to three gains, else 24.
+        Random starts. When not given: a grid for up to three gains, 48 starts for up to twelve, else 12.
     seed : int
         Of the random starts.
     finalists : int
         How many of the best are optimised to the end.
     shakes : int
-        How often the best is moved at random and optimised again, with more than three gains: valleys between
-        eigenvalues that meet are narrow, and a climb may end on their side.
+        How often, at most, each of the best is moved at random and optimised again, with more than three gains: valleys
+        between eigenvalues that meet are narrow, and a climb may end on their side. It ends when several in a row
+        were in vain.
     """
 
     starts: int | None = None
     seed: int = 0
-    finalists: int = 4
-    shakes: int = 16
+    finalists: int = 5
+    shakes: int = 48
 
 
 @dataclass(frozen=True)
@@ -83,8 +86,12 @@ def search(
     """
     history: list[SearchStep] = []
 
+    top: list[Score] = []
+
     def note(stage: str, score: Score) -> None:
-        history.append(SearchStep(stage, problem.evaluations, problem.in_units(score.value), score.violation))
+        if not top or better(score, top[0]):
+            top[:] = [score]
+        history.append(SearchStep(stage, problem.evaluations, problem.in_units(top[0].value), top[0].violation))
         if progress is not None:
             progress(history[-1])
 
@@ -108,21 +115,47 @@ def search(
         finals.append(polish(problem, start.x, max_iterations=300))
         note("polish", _best(finals).score)
     best = _best(finals)
-    rng = np.random.default_rng(effort.seed)
-    in_vain = 0
-    for i in range(effort.shakes if d not in _GRID else 0):
-        if in_vain == 2 * len(_SHAKES):
-            break
-        size = _SHAKES[i % len(_SHAKES)]
-        moved = best.x + size * rng.standard_normal(d) * (problem.upper - problem.lower)
-        again = polish(problem, moved, max_iterations=120, radius=0.02)
-        in_vain = 0 if better(again.score, best.score) else in_vain + 1
-        best = again if in_vain == 0 else best
-        note("shake", best.score)
+    if d not in _GRID and effort.shakes:
+        rng = np.random.default_rng(effort.seed)
+        shaken = []
+        for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_SHAKEN]:
+            shaken.append(_shake(problem, start, rng, effort.shakes, len(_SHAKES), note))
+        best = _shake(problem, _best(shaken), rng, effort.shakes, 2 * len(_SHAKES), note)
     if not best.converged:
         best = polish(problem, best.x, max_iterations=600, radius=0.005)
         note("polish", best.score)
     return Found(best, tuple(history))
+
+
+def _shake(
+    problem: Problem,
+    best: Polished,
+    rng: np.random.Generator,
+    most: int,
+    in_vain: int,
+    note: Callable[[str, Score], None],
+) -> Polished:
+    """Move a design at random and climb again, until it was in vain a number of times in a row."""
+    vain = 0
+    for i in range(most):
+        if vain == in_vain:
+            break
+        size = _SHAKES[i % len(_SHAKES)]
+        moved = best.x + size * rng.standard_normal(len(best.x)) * (problem.upper - problem.lower)
+        again = polish(problem, moved, max_iterations=120, radius=0.02)
+        vain = 0 if better(again.score, best.score) else vain + 1
+        best = best if vain else again
+        note("shake", best.score)
+    return best
+
+
+def _apart(found: list[Polished], distance: FloatArray) -> list[Polished]:
+    """Designs that differ by more than a distance in some gain, best first."""
+    chosen: list[Polished] = []
+    for one in sorted(found, key=lambda design: merit(design.score, PENALTY), reverse=True):
+        if all((np.abs(one.x - other.x) > distance).any() for other in chosen):
+            chosen.append(one)
+    return chosen
 
 
 def better(one: Score, other: Score) -> bool:
@@ -170,8 +203,8 @@ def _basins(problem: Problem, n: int, most: int) -> list[FloatArray]:
 
 def _draws(problem: Problem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
     """Random starts, each moved towards the neutral gains until its loops are stable."""
-    n = 24 if effort.starts is None else effort.starts
     d = len(neutral)
+    n = effort.starts if effort.starts is not None else (48 if d <= 12 else 12)
     unit = qmc.Sobol(d, seed=np.random.default_rng(effort.seed)).random(1 << max(n - 1, 1).bit_length())[:n]
     starts = []
     for u in unit:

@@ -57,7 +57,13 @@ class HalfSine:
             raise UsageError(f"impact: direction_deg = {self.direction_deg}; give a finite number")
 
     def towards(self, direction_deg: float) -> HalfSine:
-        """Return the same blow in another direction."""
+        """Return the same blow in another direction.
+
+        Parameters
+        ----------
+        direction_deg : float
+            Angle from x towards y [degrees].
+        """
         return replace(self, direction_deg=direction_deg)
 
 

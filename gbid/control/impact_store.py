@@ -9,6 +9,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from gbid.control.blow_figures import FIELDS, BlowFigures
 from gbid.control.blows import Blow
 from gbid.control.impact_study import ImpactStudy
 from gbid.control.impact_validation import ImpactValidation
@@ -67,10 +68,16 @@ def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) 
             _write(group, validation, _CURVES, compress=True)
             group.create_dataset("blows", data=np.array([tuple(asdict(b).values()) for b in validation.blows], float))
             group["blows"].attrs["long_name"] = ", ".join(f.name for f in fields(Blow))
+        table = np.array([tuple(asdict(q).values()) for q in study.figures], float).reshape(-1, len(FIELDS))
+        add_dataset(file, "figures", table, "m, s", ", ".join(FIELDS))
 
 
 def load_impacts(path: str | Path) -> ImpactStudy:
     """Read what `save_impacts` stored.
+
+    Parameters
+    ----------
+    path : str or path
 
     Raises
     ------
@@ -95,6 +102,7 @@ def load_impacts(path: str | Path) -> ImpactStudy:
             modes["expected_running"],
             RingDown(**_read(file["ringdown"], RingDown, _RINGDOWN)),
             tuple(validations),
+            tuple(BlowFigures(*map(float, row)) for row in read_dataset(file, "figures")),
         )
 
 
@@ -124,7 +132,7 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
 
 
 def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
-    """List force scaling and fit of each recording, a row each."""
+    """List force scaling, fit, and what the blows do to disc and piezos, a row for each recording."""
     return [
         {
             "recording": v.recording,
@@ -138,8 +146,9 @@ def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
             "fit_along [%]": v.along_percent,
             "fit_x [%]": float(v.fit_percent[0]),
             "fit_y [%]": float(v.fit_percent[1]),
+            **{f"{name[: name.rindex('_')]} [{name[-1]}]": value for name, value in asdict(q).items()},
         }
-        for v in study.validations
+        for v, q in zip(study.validations, study.figures, strict=True)
     ]
 
 

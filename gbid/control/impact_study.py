@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
+from gbid.control.blow_figures import BlowFigures, blow_figures
 from gbid.control.impact_modes import Modes, ringing_modes
 from gbid.control.impact_validation import ImpactValidation, validate_impact
 from gbid.control.ringdown import fit_ringdown
@@ -12,7 +13,7 @@ from gbid.control.ringdown_result import RingDown
 from gbid.control.sampled import exact_plant
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
-from gbid.structure import LinearModel
+from gbid.structure import LinearModel, PiezoPair, evaluate
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +24,8 @@ class ImpactStudy:
     ----------
     conditions : dict of str to float
         Operating point.
-    loop : {"open", "closed"}
+    loop : str
+        ``"open"``, ``"closed"``, or the name of a further closed loop.
     model, controller : str
         Names; the controller's is empty in open loop.
     expected : tuple of (frequency_hz, damping)
@@ -34,6 +36,8 @@ class ImpactStudy:
         Obtained from the blows.
     validations : tuple of ImpactValidation
         One for each recording, against the loop as it runs.
+    figures : tuple of BlowFigures
+        One for each recording: largest motion of disc and stacks, time until the response is over.
     """
 
     conditions: Mapping[str, float]
@@ -44,6 +48,7 @@ class ImpactStudy:
     expected_running: Modes
     ringdown: RingDown
     validations: tuple[ImpactValidation, ...]
+    figures: tuple[BlowFigures, ...] = ()
 
 
 def study_impacts(
@@ -54,6 +59,7 @@ def study_impacts(
     *,
     harmonics: int | None = None,
     lags: int | str = "auto",
+    loop: str | None = None,
 ) -> ImpactStudy:
     """Fit the ring-downs of some recordings and compare them with a model.
 
@@ -67,6 +73,8 @@ def study_impacts(
         The controller that ran, continuous and sampled; open loop without.
     harmonics, lags
         See `fit_ringdown`.
+    loop : str, optional
+        Name of the loop; ``"open"`` or ``"closed"`` when not given.
 
     Returns
     -------
@@ -76,13 +84,16 @@ def study_impacts(
     where = (point["pressure_bar"], point["speed_rpm"])
     plant, exact = model.plant_at(*where), exact_plant(model, *where)
     expected = ringing_modes(plant, controller)
+    actuators = evaluate(PiezoPair(), model.actuators, plant.input_names, ("u_x", "u_y"))
+    validations = tuple(validate_impact(rec, exact, sampled, harmonics=harmonics) for rec in recordings)
     return ImpactStudy(
         point,
-        "open" if controller is None else "closed",
+        loop or ("open" if controller is None else "closed"),
         model.name,
         "" if controller is None else controller.name,
         expected,
         expected if sampled is None else ringing_modes(exact, sampled),
         fit_ringdown(recordings, harmonics=harmonics, lags=lags),
-        tuple(validate_impact(rec, exact, sampled, harmonics=harmonics) for rec in recordings),
+        validations,
+        tuple(blow_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
     )

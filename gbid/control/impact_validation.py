@@ -77,7 +77,13 @@ class ImpactValidation:
         return "".join(sorted({blow.axis for blow in self.blows}))
 
     def window(self, blow: int = 0) -> slice:
-        """Give the samples to show of one blow: a little before it until the response has died out."""
+        """Give the samples to show of one blow: a little before it until the response has died out.
+
+        Parameters
+        ----------
+        blow : int
+            Its number, counted from 0.
+        """
         start, stop = self.windows[blow]
         return slice(max(0, start - _BEFORE), stop)
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from gbid.control.closed_matrices import FloatArray
+from gbid.control.closed_matrices import FloatArray, LoopFamily
 from gbid.errors import UsageError
 
 Objective = Literal["damping", "decay"]
@@ -16,19 +16,23 @@ Objective = Literal["damping", "decay"]
 
 @dataclass(frozen=True)
 class ExtraLimit:
-    """A limit that no other covers: ``function(gains) <= limit``, differentiable by differences.
+    """A limit that no other covers: ``function(family, gains) <= limit`` in every loop, differentiable by differences.
 
     Parameters
     ----------
     name : str
     function : callable
-        From gains (d,) to a positive number.
+        From a family of m loops and gains (d,) to positive numbers (m,).
     limit : float
     """
 
     name: str
-    function: Callable[[FloatArray], float]
+    function: Callable[[LoopFamily, FloatArray], FloatArray]
     limit: float
+
+    def excess(self, family: LoopFamily, gains: FloatArray) -> FloatArray:
+        """Logarithm of the numbers over the limit (m,), positive where it is exceeded."""
+        return np.asarray(np.log(self.function(family, gains) / self.limit))
 
 
 @dataclass(frozen=True)

@@ -134,7 +134,12 @@ def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins,
 
 
 def static_amplification(loop: Sensitivities) -> float:
-    """Return the largest singular value of S_o at rest: how much a steady disturbance of p grows by the loop."""
+    """Return the largest singular value of S_o at rest: how much a steady disturbance of p grows by the loop.
+
+    Parameters
+    ----------
+    loop : Sensitivities
+    """
     return float(np.linalg.norm(loop.response("output", 0.0)[0].real, 2))
 
 

@@ -53,7 +53,7 @@ def maximise_damping(
     start : (d,) array, optional
         Gains to start from besides; the zero vector (moved into the bounds) is always one of the starts.
     starts : int, optional
-        Random starts of the global stage. When not given: a grid for up to three gains, else 24.
+        Random starts of the global stage. When not given: a grid for up to three gains, 48 for up to twelve, else 12.
     seed : int
         Of the random starts.
     progress : callable, optional
@@ -201,10 +201,11 @@ def _active(problem: Problem, x: FloatArray, names: tuple[str, ...], stable: boo
     if not stable:
         return tuple(bounds)
     limits = []
+    located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
     for piece in problem.pieces(x).limits:
         if piece.value > -1e-4:
             family = problem.families[piece.family]
-            where = f" at {family.labels[piece.loop]}" if piece.kind in _TITLES else ""
+            where = f" at {family.labels[piece.loop]}" if piece.kind in located else ""
             limits.append(_TITLES.get(piece.kind, piece.kind) + where)
     return tuple(dict.fromkeys([*limits, *bounds]))
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid.brief import brief
 from gbid.control.gain_result import GainResult
 from gbid.control.tuning import tune
 from gbid.errors import UsageError
@@ -28,6 +29,13 @@ class ParetoFront:
 
     caps: tuple[float, ...]
     designs: tuple[GainResult, ...]
+
+    def __repr__(self) -> str:
+        designs = {
+            f"cap {cap:g}": f"{d.objective} {d.value:.6g}, {d.status}"
+            for cap, d in zip(self.caps, self.designs, strict=True)
+        }
+        return brief(self, f"{len(self.caps)} designs", **designs)
 
     @property
     def values(self) -> tuple[float, ...]:

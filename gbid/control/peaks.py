@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.closed_matrices import Derivatives, FloatArray
+from gbid.control.closed_matrices import Derivatives, FloatArray, Loops
 from gbid.control.norm import largest_singular_values
-from gbid.control.spectrum import ComplexArray, Eigensystem
+from gbid.control.spectrum import ComplexArray, Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
@@ -25,9 +25,7 @@ class Peaks:
     value: FloatArray
 
 
-def respond(
-    loops: Derivatives, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray
-) -> ComplexArray:
+def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
     """Frequency responses of rows of the outputs of chosen loops, at frequencies (k, f) [rad/s]: (k, f, n_y, n_d)."""
     CV = loops.C[which][:, rows] @ modes.right[which]
     WB = modes.left[which] @ loops.B[which]
@@ -36,7 +34,7 @@ def respond(
 
 
 def find_peaks(
-    loops: Derivatives, modes: Eigensystem, rows: slice, extra: tuple[IntArray, FloatArray] | None = None
+    loops: Loops, modes: Eigensystem, rows: slice, extra: tuple[IntArray, FloatArray] | None = None
 ) -> Peaks:
     """Local maxima of the largest singular value, each refined on frequency.
 
@@ -97,8 +95,6 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
     RBv = (RB @ v[:, :, None])[:, :, 0]
     uCR = (u[:, None] @ CR)[:, 0]
-    dS = np.einsum("ki,kdij,kj->kd", u, loops.dD[i][:, :, rows].astype(complex), v)
-    dS += np.einsum("ki,kdij,kj->kd", u, loops.dC[i][:, :, rows].astype(complex), RBv)
-    dS += np.einsum("ki,kdij,kj->kd", uCR, loops.dB[i].astype(complex), v)
-    dS += np.einsum("ki,kdij,kj->kd", uCR, loops.dA[i].astype(complex), RBv)
+    dS = bilinear(u, loops.dD[i][:, :, rows], v) + bilinear(u, loops.dC[i][:, :, rows], RBv)
+    dS += bilinear(uCR, loops.dB[i], v) + bilinear(uCR, loops.dA[i], RBv)
     return np.asarray(dS.real), np.asarray(values[:, 0])

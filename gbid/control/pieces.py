@@ -6,18 +6,20 @@ where eigenvalues do not meet. A local method that knows all that are near the w
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.closed_matrices import Derivatives, FloatArray, LoopFamily
+from gbid.control.closed_matrices import Derivatives, FloatArray, LoopFamily, Loops
 from gbid.control.limits import ExtraLimit, Limits
 from gbid.control.norm import largest_singular_values
 from gbid.control.peaks import Peaks, find_peaks, peak_slopes, respond
 from gbid.control.spectrum import REAL, ComplexArray, Eigensystem, Pair, damping_factors, damping_slopes, pair_of
 
 BoolArray = npt.NDArray[np.bool_]
+_RESPONSES = ("sensitivity", "control", "static")
 _WINDOW = 0.3
 """Pieces further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""
 
@@ -88,19 +90,20 @@ class Problem:
         """Evaluate one design; stop early once its aim is below `worst`."""
         self.evaluations += 1
         value, violation = np.inf, 0.0
-        for family in self.families:
-            values = np.linalg.eigvals(family.states(x)).astype(complex)
+        every = [family.matrices(x) for family in self.families]
+        for loops in every:
+            values = np.linalg.eigvals(loops.A).astype(complex)
             value = min(value, float(self.aim(values).min()))
             violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
         if value < worst:
             return Score(value, max(violation, 0.0))
-        for _, _, peaks, limit in self._responses(x):
+        for _, _, peaks, limit in self._responses(every):
             if len(peaks.value):
                 violation = max(violation, float(np.log(peaks.value.max() / limit)))
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
         for extra in self.limits.extra:
-            violation = max(violation, float(np.log(extra.function(x) / extra.limit)))
+            violation = max([violation, *(float(extra.excess(family, x).max()) for family in self.families)])
         return Score(value, max(violation, 0.0))
 
     def aim_bound(self, x: FloatArray) -> float:
@@ -131,25 +134,28 @@ class Problem:
         aims: list[Piece] = []
         limits: list[Piece] = []
         pairs: list[tuple[Piece, Pair]] = []
-        systems = [Eigensystem.of(family.states(x)) for family in self.families]
+        slopes_by = [family.derivatives(x) for family in self.families]
+        systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
         values = [self.aim(system.values) for system in systems]
         worst = min(float(v.min()) for v in values)
-        for f, (family, system, aim) in enumerate(zip(self.families, systems, values, strict=True)):
-            derivatives = family.derivatives(x)
+        for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
             upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
             near = (aim < worst + _WINDOW) & upper & (aim < 1.0 if self.limits.objective == "damping" else True)
             aims += self._of_eigenvalues("aim", f, system, derivatives, near)
             slow = (self.slowest + system.values.real) / self.scale
             limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -_WINDOW) & upper)
             pairs += self._pairs(f, system, derivatives, near)
-        for kind, f, peaks, limit in self._responses(x, systems):
+        for kind, f, peaks, limit in self._responses(slopes_by, systems):
             keep = np.flatnonzero(np.log(peaks.value / limit) > -_WINDOW)
             chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
-            slopes, _ = peak_slopes(self.families[f].derivatives(x), rows_of(self.families[f], kind), chosen)
+            slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
             for loop, w, value, slope in zip(chosen.loop, chosen.frequency, chosen.value, slopes, strict=True):
                 limits.append(Piece(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w)))
-        limits += [Piece(name, 0, 0, float(row @ x - limit), row, 0j) for name, row, limit in self.linear]
-        limits += [self._extra(extra, x) for extra in self.limits.extra]
+        for name, row, limit in self.linear:
+            if (excess := float(row @ x - limit)) > -_WINDOW:
+                limits.append(Piece(name, 0, 0, excess, row, 0j))
+        for extra in self.limits.extra:
+            limits += [piece for f in range(len(self.families)) for piece in self._extra(extra, f, x)]
         violation = max([0.0, *(piece.value for piece in limits)])
         return Pieces(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
 
@@ -202,58 +208,92 @@ class Problem:
         first, second = np.argsort(np.abs(system.values[0] - place))[:2]
         return pair_of(system, derivatives.dA[loop], 0, int(first), int(second))
 
-    def slope_of(self, piece: Piece, x: FloatArray) -> FloatArray | None:
-        """Slope of a known piece at a design close by, a peak's at its old frequency; None where it cannot be told."""
-        if piece.kind in ("aim", "pole", "pair"):
-            if piece.kind == "pair":
-                pair = self.pair_near(x, piece.family, piece.loop, piece.place)
-                return None if pair is None else self._mean_of(pair)[1]
-            derivatives = self.families[piece.family].derivatives(x)
-            system = Eigensystem.of(derivatives.A[[piece.loop]])
-            at = np.array([np.argmin(np.abs(system.values[0] - piece.place))])
-            zero = np.zeros(1, int)
-            slope = system.slopes(zero, at, derivatives.dA[[piece.loop]])
-            if piece.kind == "aim" and self.limits.objective == "damping":
-                return np.asarray(damping_slopes(system.values[zero, at], slope)[0])
-            return np.asarray(slope.real[0] if piece.kind == "pole" else -slope.real[0]) / self.scale
-        if piece.kind in ("sensitivity", "control", "static"):
-            peak = Peaks(np.array([piece.loop]), np.array([piece.place.imag]), np.ones(1))
-            family = self.families[piece.family]
-            slopes, values = peak_slopes(family.derivatives(x), rows_of(family, piece.kind), peak)
-            return np.asarray(slopes[0] / values[0])
-        return None
+    def slopes_at(self, pieces: Sequence[Piece], designs: Sequence[FloatArray]) -> FloatArray:
+        """Slopes of known pieces at designs close by (q, n, d), peaks' at their old frequency.
+
+        NaN where they cannot be told: of two eigenvalues that meet too closely, and of limits from outside.
+        """
+        found = np.full((len(designs), len(pieces), len(self.lower)), np.nan)
+        for f, family in enumerate(self.families):
+            own = [i for i, piece in enumerate(pieces) if piece.family == f]
+            if not own:
+                continue
+            used = np.unique([pieces[i].loop for i in own])
+            parts = [family.derivatives(x).of(used) for x in designs]
+            loops = Derivatives.joined(parts)
+            spectral = any(pieces[i].kind in ("aim", "pole", "pair") for i in own)
+            system = Eigensystem.of(loops.A) if spectral else None
+            for i in own:
+                # the loop of this piece in each design
+                which = np.searchsorted(used, pieces[i].loop) + len(used) * np.arange(len(designs))
+                found[:, i] = self._slopes_of(pieces[i], family, loops, system, which)
+        for i, piece in enumerate(pieces):
+            rows = [row for name, row, _ in self.linear if name == piece.kind]
+            if rows:
+                found[:, i] = rows[0]
+        return found
+
+    def _slopes_of(
+        self,
+        piece: Piece,
+        family: LoopFamily,
+        loops: Derivatives,
+        system: Eigensystem | None,
+        which: npt.NDArray[np.intp],
+    ) -> FloatArray:
+        """Slopes of one piece in the chosen loops (q, d), NaN where they cannot be told."""
+        nothing = np.full((len(which), len(self.lower)), np.nan)
+        if piece.kind in _RESPONSES:
+            peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
+            slopes, values = peak_slopes(loops, rows_of(family, piece.kind), peaks)
+            return np.asarray(slopes / values[:, None])
+        if system is None or piece.kind not in ("aim", "pole", "pair"):
+            return nothing
+        distance = np.abs(system.values[which] - piece.place)
+        if piece.kind == "pair":
+            for row, (loop, nearest) in enumerate(zip(which, np.argsort(distance, axis=1), strict=True)):
+                pair = pair_of(system, loops.dA[loop], int(loop), int(nearest[0]), int(nearest[1]))
+                if pair is not None:
+                    nothing[row] = self._mean_of(pair)[1]
+            return nothing
+        at = distance.argmin(axis=1)
+        slope = system.slopes(which, at, loops.dA)
+        if piece.kind == "aim" and self.limits.objective == "damping":
+            return damping_slopes(system.values[which, at], slope)
+        return np.asarray((slope.real if piece.kind == "pole" else -slope.real) / self.scale)
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """How bad a design is in each loop of a family, which need not be one of the problem's (n, m).
 
         First the aim with a minus, then by how much the slowest pole and each limited response exceed their limits.
         """
-        system = Eigensystem.of(family.states(x))
+        loops = family.matrices(x)
+        system = Eigensystem.of(loops.A)
         rows = [-self.aim(system.values).min(axis=1), (self.slowest + system.values.real).max(axis=1) / self.scale]
         if self.limits.has_responses and family.n_outputs:
-            for _, peaks, limit in self._peaks(family, family.derivatives(x), system, []):
+            for _, peaks, limit in self._peaks(family, loops, system, []):
                 highest = np.zeros(len(family))
                 np.maximum.at(highest, peaks.loop, peaks.value)
                 rows.append(np.log(highest / limit))
+        rows += [extra.excess(family, x) for extra in self.limits.extra]
         return np.array(rows)
 
     def _responses(
-        self, x: FloatArray, systems: list[Eigensystem] | None = None
+        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None
     ) -> list[tuple[str, int, Peaks, float]]:
-        """Peaks of all limited responses of all families."""
+        """Peaks of all limited responses of all families, whose matrices (and eigenvalues) are given."""
         found: list[tuple[str, int, Peaks, float]] = []
         if not self.limits.has_responses:
             return found
-        for f, family in enumerate(self.families):
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             if family.n_outputs:
-                loops = family.derivatives(x)
                 system = Eigensystem.of(loops.A) if systems is None else systems[f]
                 cuts = [cut for cut in self.cuts if cut[1] == f]
                 found += [(kind, f, peaks, limit) for kind, peaks, limit in self._peaks(family, loops, system, cuts)]
         return found
 
     def _peaks(
-        self, family: LoopFamily, loops: Derivatives, system: Eigensystem, cuts: list[tuple[str, int, int, float]]
+        self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: list[tuple[str, int, int, float]]
     ) -> list[tuple[str, Peaks, float]]:
         """Peaks of all limited responses of one family: kind, peaks, limit."""
         found = []
@@ -269,16 +309,19 @@ class Problem:
             found.append(("static", peaks, self.limits.static_amplification))
         return found
 
-    def _extra(self, extra: ExtraLimit, x: FloatArray) -> Piece:
-        base = np.log(extra.function(x) / extra.limit)
-        slope = np.empty(len(x))
-        for i in range(len(x)):
+    def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[Piece]:
+        """Pieces of a limit from outside, with slopes by differences."""
+        family = self.families[f]
+        base = extra.excess(family, x)
+        near = np.flatnonzero(base > -_WINDOW)
+        slope = np.zeros((len(family), len(x)))
+        for i in range(len(x) if len(near) else 0):
             step = 1e-5 * (self.upper[i] - self.lower[i])
             step = -step if x[i] + step > self.upper[i] else step
             moved = x.copy()
             moved[i] += step
-            slope[i] = (np.log(extra.function(moved) / extra.limit) - base) / step
-        return Piece(extra.name, 0, 0, float(base), slope, 0j)
+            slope[:, i] = (extra.excess(family, moved) - base) / step
+        return [Piece(extra.name, f, int(loop), float(base[loop]), slope[loop], 0j) for loop in near]
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

@@ -120,7 +120,13 @@ class PointAssessment:
 
 
 def smallest_damping(model: LinearModel) -> float:
-    """Return the smallest damping factor over all modes; -1 where a real pole grows, infinite without modes."""
+    """Return the smallest damping factor over all modes; -1 where a real pole grows, infinite without modes.
+
+    Parameters
+    ----------
+    model : LinearModel
+        In continuous time.
+    """
     factors = [damping for _, damping in model.modes()]
     poles = model.poles()
     if ((np.abs(poles.imag) <= 1e-9 * np.abs(poles)) & (poles.real >= 0)).any():

@@ -23,7 +23,7 @@ from gbid.control.blows import Blow, find_blows, force_of, pulses_of
 from gbid.control.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.control.ringdown_basis import RingData, Scale, harmonics_for, ring_data
 from gbid.control.ringdown_lags import fit_lags
-from gbid.control.ringdown_result import RingDown, two_modes
+from gbid.control.ringdown_result import NO_OSCILLATIONS, RingDown, two_modes
 from gbid.control.ringdown_solve import RingProblem, Solved
 from gbid.control.ringdown_start import start_candidates
 from gbid.errors import DataError, UsageError
@@ -176,7 +176,7 @@ def _result(
     spread = np.full((4, 4), np.nan)
     success, status = solved.converged, "converged" if solved.converged else f"not converged: {solved.status}"
     if np.isnan(modes).any():
-        success, status = False, "no two oscillations: at least one pair of poles is real"
+        success, status = False, NO_OSCILLATIONS
     else:
         steps = 1e-6 * np.eye(len(theta))
         slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])

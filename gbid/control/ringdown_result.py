@@ -13,6 +13,8 @@ from gbid.control.ringdown_start import eigenvalues_of
 from gbid.errors import UsageError
 
 FloatArray = npt.NDArray[np.float64]
+NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
+"""Status of a fit to a response that is damped so much that it does not oscillate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,6 +64,11 @@ class RingDown:
     def modes(self) -> list[tuple[float, float]]:
         """Natural frequency [Hz] and damping factor of each mode, as `LinearModel.modes` gives them."""
         return [(float(f), float(z)) for f, z in zip(self.frequency_hz, self.damping, strict=True)]
+
+    @property
+    def aperiodic(self) -> bool:
+        """Whether the response is damped so much that there are no two oscillations in it; then nothing converges."""
+        return self.status == NO_OSCILLATIONS
 
     def interval(self, level: float = 0.95) -> FloatArray:
         """Confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.

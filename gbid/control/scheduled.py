@@ -119,11 +119,23 @@ class Scheduled:
         }
 
     def matrices(self, p: Values, pressure_bar: Any, speed_rpm: Any) -> Mapping[str, Any]:
-        """Return A, B, C and D at one operating point; all arguments may be symbols."""
+        """Return A, B, C and D at one operating point; all arguments may be symbols.
+
+        Parameters
+        ----------
+        p : Values
+            Coefficients by name.
+        pressure_bar, speed_rpm : float or casadi.SX
+        """
         return self.base.matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
-        """Return the structure at one operating point, its parameters still the coefficients."""
+        """Return the structure at one operating point, its parameters still the coefficients.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float
+        """
         self.domain.check(pressure_bar, speed_rpm, self.name)
         return LinearStructure(
             f"{self.name} at {pressure_bar:g} bar, {speed_rpm:g} rpm",

@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.control.grid import frequency_grid
 from gbid.control.loop import close_loop
 from gbid.control.norm import Peak, largest_singular_values, peak_gain, refine_maxima
@@ -51,6 +52,9 @@ class Sensitivities:
 
     def __post_init__(self) -> None:
         assert self._loop is not None  # refuses what is no loop
+
+    def __repr__(self) -> str:
+        return brief(self, "", plant=self.plant.summary, controller=self.controller.summary)
 
     @property
     def has_delay(self) -> bool:
@@ -137,7 +141,13 @@ class Sensitivities:
         return Peak(value, place)
 
     def grid(self, n: int = 400) -> FloatArray:
-        """Frequencies [Hz] that follow the loop's modes; see `frequency_grid`."""
+        """Frequencies [Hz] that follow the loop's modes; see `frequency_grid`.
+
+        Parameters
+        ----------
+        n : int
+            About how many.
+        """
         return frequency_grid(self._loop, n)
 
     @property

@@ -20,6 +20,14 @@ def damping_factors(eigenvalues: ComplexArray) -> FloatArray:
     return np.where(np.abs(eigenvalues.imag) > REAL * magnitude, -eigenvalues.real / magnitude, 1.0)
 
 
+def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
+    """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
+    both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
+    # one real product for the real and the imaginary part: a complex copy of M would cost more than that
+    product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
+    return np.asarray(product[..., 0] + 1j * product[..., 1])
+
+
 @dataclass(frozen=True)
 class Eigensystem:
     """Eigenvalues (m, n), right vectors as columns and left vectors as rows, ``W V = I``."""
@@ -43,8 +51,7 @@ class Eigensystem:
 
     def slopes(self, loops: npt.NDArray[np.intp], which: npt.NDArray[np.intp], dA: FloatArray) -> ComplexArray:
         """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
-        w, v = self.left[loops, which], self.right[loops, :, which]
-        return np.asarray(np.einsum("ki,kdij,kj->kd", w, dA[loops], v))
+        return bilinear(self.left[loops, which], dA[loops], self.right[loops, :, which])
 
 
 def damping_slopes(eigenvalues: ComplexArray, slopes: ComplexArray) -> FloatArray:

@@ -28,7 +28,7 @@ from gbid.lpv import LPVModel
 from gbid.structure.linear import Structure
 
 Point = tuple[float, float]
-_FEW = 5
+_FEW, _MANY = 5, 30
 
 
 def tune(
@@ -132,7 +132,9 @@ def tune(
         slowest_pole = 0.0 if peak_sensitivity is None else max(min(open_loop), 0.0)
     limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
     if impact is not None:
-        limits = replace(limits, extra=(travel_limit(lpv, setup.structure, actuator, points, impact, piezo_travel_m),))
+        model = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
+        plant = model.plant_at(float(points[0, 0]), float(points[0, 1]))
+        limits = replace(limits, extra=(travel_limit(plant, impact, piezo_travel_m),))
     problem = Problem((family,), limits, low, high, typical_rate((family,), start_gains))
     problem.linear = setup.gain_limits(points)
     unknown = [name for name in start or {} if name not in names]
@@ -212,24 +214,31 @@ def _solve(
     first: list[FloatArray],
     progress: Progress | None,
 ) -> tuple[Polished, tuple[SearchStep, ...]]:
-    """Search over all loops; with many gains first over those that matter, adding those that turn out worse."""
+    """Search over all loops; of many first over those that matter, adding those that turn out worse.
+
+    A design that is best for some of the loops and no worse in the others is best for all. With few gains every
+    round searches globally, so that this holds of the result as well; with many it climbs on from the last.
+    """
     whole = problem.families
-    if len(neutral) <= 3 or len(whole[0]) <= _FEW:
+    few_gains = len(neutral) <= 3
+    if len(whole[0]) <= (_MANY if few_gains else _FEW):
         return solve(problem, neutral, effort, first, progress)
     chosen = _corners(points)
     problem.families = (setup.family(points, chosen),)
     found, history = solve(problem, neutral, effort, first, progress)
-    for _ in range(len(whole[0])):
+    while True:
         measures = problem.by_loop(whole[0], found.x)
-        excess = np.max(
-            [measures[0] + found.score.value, *(row - found.score.violation for row in measures[1:])], axis=0
-        )
-        worst = int(np.argmax(excess))
-        if excess[worst] <= 1e-7 or worst in chosen:
+        measures[0] += found.score.value
+        measures[1:] -= found.score.violation
+        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
+        if not worst:
             break
-        chosen.append(worst)
+        chosen += sorted(worst)
         problem.families, problem.cuts = (setup.family(points, chosen),), []
-        found, more = solve(problem, neutral, effort, found=found, progress=progress)
+        if few_gains:
+            found, more = solve(problem, neutral, effort, [found.x, *first], progress)
+        else:
+            found, more = solve(problem, neutral, effort, found=found, progress=progress)
         history += more
     problem.families, problem.cuts = whole, []
     found, more = solve(problem, neutral, effort, found=found, progress=progress)
@@ -298,7 +307,7 @@ def _constant_gains(
     low, high, start = _gain_bounds(structure.base, None)
     setup = _Setup(lpv, structure.base, equations, points, uncertainty)
     family = setup.family(points)
-    problem = Problem((family,), replace(limits, extra=()), low, high, typical_rate((family,), start))
+    problem = Problem((family,), limits, low, high, typical_rate((family,), start))
     best, _ = _solve(problem, setup, points, start, effort, [], None)
     values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
     return np.array(

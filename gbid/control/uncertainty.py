@@ -57,7 +57,13 @@ class Uncertainty:
                 )
 
     def scenarios(self, points: FloatArray) -> FloatArray:
-        """Every drawn plant at every point (m, 2), the model itself first: (m (1 + n), 16)."""
+        """Every drawn plant at every point (m, 2), the model itself first: (m (1 + n), 16).
+
+        Parameters
+        ----------
+        points : (m, 2) array
+            Pressure [bar] and speed [rpm].
+        """
         deviations = self._deviations(points)
         nominal = np.hstack([points, np.zeros((len(points), len(KEY_PARAMETERS)))])
         drawn = [np.hstack([points, deviation]) for deviation in deviations]

@@ -23,17 +23,19 @@ class Norm(NamedTuple):
 
 def exact_norms(family: LoopFamily, x: FloatArray, kind: str) -> list[Norm]:
     """H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop, by Hamiltonian matrices."""
-    A, B, C, D = family.matrices(x)
-    rows = rows_of(family, kind)
-    found = (peak_gain(LinearModel(A[i], B[i], C[i][rows], D[i][rows])) for i in range(len(family)))
+    loops, rows = family.matrices(x), rows_of(family, kind)
+    models = (
+        LinearModel(A, B, C[rows], D[rows]) for A, B, C, D in zip(loops.A, loops.B, loops.C, loops.D, strict=True)
+    )
+    found = (peak_gain(model) for model in models)
     return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in found]
 
 
 def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
     """Largest gain of S_o at rest of every loop, (m,)."""
-    A, B, C, D = family.matrices(x)
-    rows = rows_of(family, "static")
-    return np.asarray(largest_singular_values((C[:, rows] @ np.linalg.solve(-A, B) + D[:, rows]).astype(complex)))
+    loops, rows = family.matrices(x), rows_of(family, "static")
+    response = loops.C[:, rows] @ np.linalg.solve(-loops.A, loops.B) + loops.D[:, rows]
+    return np.asarray(largest_singular_values(response.astype(complex)))
 
 
 def worst_mode(problem: Problem, x: FloatArray) -> WorstMode:

@@ -71,7 +71,13 @@ class Dual:
         return Dual(self.value / number, self.slope / number)
 
     def columns(self, index: Any) -> Dual:
-        """Take some columns, as an array indexed by ``[:, index]``."""
+        """Take some columns, as an array indexed by ``[:, index]``.
+
+        Parameters
+        ----------
+        index : int, slice or array of int
+            Columns of the value.
+        """
         return Dual(self.value[:, index], self.slope[:, :, index])
 
 

@@ -54,7 +54,16 @@ def names_are_unique(experiment: Experiment) -> Found:
     planned = list(planned_recordings(experiment.spec, experiment.imports.files))
     counts = Counter(q.name for q in planned)
     seen: set[str] = set()
+    rig = experiment.spec.rig
+    points = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
+    twice: dict[Location, int] = {
+        ("rig", "operating_points", i): points.index(point) for i, point in enumerate(points) if points.index(point) < i
+    }
+    for here, first in twice.items():
+        yield here, f"the same operating point as operating_points[{first}]; delete one of the two"
     for q in planned:
+        if q.location in twice:
+            continue  # told above, once for all recordings of the point
         if counts[q.name] > 1 and q.name in seen:
             where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
             yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"
@@ -132,7 +141,7 @@ def crossval_has_partners(experiment: Experiment) -> Found:
                 if not experiment.matching((pattern,)):
                     yield (
                         ("crossval", name, "on"),
-                        f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}",
+                        f"no recording matches {pattern!r}; {nearest(pattern, (*SPECIAL, *experiment.recordings))}",
                     )
             continue
         if experiment.spec.fits[name].together and special == ["cyclic"]:

@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gbid.errors import GbidError
-from gbid.experiment.impact_plan import controller_at, expecting_model, hammer_of, is_tuned, tuned_design
+from gbid.experiment.impact_plan import (
+    LOOPS,
+    controller_at,
+    expecting_model,
+    hammer_of,
+    is_tuned,
+    loop_controllers,
+    tuned_design,
+)
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import Location
+from gbid.experiment.schema_impacts import ImpactPoint, ImpactsSection
 from gbid.experiment.structures import rig_model
 
 LONGEST_BLOW = 0.25
@@ -48,25 +57,39 @@ def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]
             expecting_model(experiment)
         except GbidError as error:
             yield ("impacts", "model"), str(error)
-    tuned = is_tuned(section)
-    if tuned:
-        try:
-            tuned_design(experiment)
-        except GbidError as error:
-            yield ("impacts", "controller"), str(error)
+    inside = []
     for i, point in enumerate(section.operating_points):
-        inside = True
-        for key in ("pressure_bar", "speed_rpm"):
-            value, (low, high) = getattr(point, key), getattr(domain, key)
-            if not low <= value <= high:
-                inside = False
-                yield (
-                    ("impacts", "operating_points", i, key),
-                    f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside",
-                )
-        if inside and "closed" in section.loops and not tuned:
-            try:
-                controller_at(experiment, point)
-            except GbidError as error:
-                yield ("impacts", "controller"), str(error)
-                return
+        outside = [
+            (key, value, low, high)
+            for key in ("pressure_bar", "speed_rpm")
+            for value, (low, high) in [(getattr(point, key), getattr(domain, key))]
+            if not low <= value <= high
+        ]
+        for key, value, low, high in outside:
+            yield (
+                ("impacts", "operating_points", i, key),
+                f"{value:g} lies outside the domain of {name}, {low:g} to {high:g}; choose a value inside",
+            )
+        if not outside:
+            inside.append(point)
+    yield from _controller_problems(experiment, section, inside)
+
+
+def _controller_problems(
+    experiment: Experiment, section: ImpactsSection, points: list[ImpactPoint]
+) -> Iterator[tuple[Location, str]]:
+    """Each loop has a name of its own, and a controller that can be loaded or is to be tuned."""
+    taken = [loop for loop in section.beside if loop in LOOPS]
+    for loop in taken:
+        yield ("impacts", "beside", loop), f"{loop!r} is the name of a loop that is there; choose another"
+    for loop, word in {"closed": section.controller, **section.beside}.items():
+        if loop in taken:
+            continue
+        try:
+            if is_tuned(word):
+                tuned_design(experiment, word)
+            elif loop in loop_controllers(section):
+                for point in points:
+                    controller_at(experiment, point, loop)
+        except GbidError as error:
+            yield ("impacts", "beside", loop) if loop in section.beside else ("impacts", "controller"), str(error)

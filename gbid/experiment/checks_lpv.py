@@ -10,6 +10,7 @@ from gbid.errors import GbidError
 from gbid.experiment.checks_fits import structure_or_none
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import Location, nearest
+from gbid.experiment.structures import lpv_actuators
 from gbid.lpv.terms import check_points, chosen_exponents
 from gbid.structure import KEY_PARAMETERS
 
@@ -31,8 +32,10 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     missing = [n for n in KEY_PARAMETERS if n not in {q.name for q in structure.parameters}] if structure else []
     if missing:
         yield where, f"{section.fit} has no parameters {', '.join(missing)}; name a fit of rotor_bearing or plant"
-    if section.actuators == "nominal" and experiment.spec.nominal is None:
-        yield ("lpv", "actuators"), "there is no section 'nominal'; add one, or name a model or its file"
+    try:
+        lpv_actuators(experiment, section)
+    except GbidError as error:
+        yield ("lpv", "actuators"), str(error)
     if section.robust and section.weighting == "fits":
         yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
     points = []

@@ -94,6 +94,34 @@ def staircases_are_somewhere(experiment: Experiment) -> Found:
                 yield ("rig", part, "at", i), text
 
 
+def sizes_fit_the_clearance(experiment: Experiment) -> Found:
+    """Rig: no movement or noise is larger than the clearance, which a forgotten 1e-6 makes it."""
+    rig = experiment.spec.rig
+    for location in _SIZES if rig else ():
+        part, key = location
+        value = getattr(getattr(rig, part), key, 0.0)
+        assert rig is not None
+        largest = max(value) if isinstance(value, tuple) else value
+        if largest > rig.clearance_m:
+            text = (
+                f"{largest:g} m is more than the clearance of the bearing, {rig.clearance_m:g} m; "
+                "make it smaller (sizes are in metres)"
+            )
+            yield ("rig", *location), text
+
+
+_SIZES = (
+    ("prbs", "amplitude_m"),
+    ("staircase", "step_m"),
+    ("sensors", "noise_p_m"),
+    ("sensors", "noise_u_m"),
+    ("sensors", "resolution_p_m"),
+    ("sensors", "resolution_u_m"),
+    ("unbalance", "eccentricity_m"),
+    ("non_synchronous", "size_m"),
+)
+
+
 def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
     """List the times that must be whole numbers of samples."""
     yield ("rig", "duration_s"), rig.duration_s
@@ -112,5 +140,11 @@ def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
             yield ("rig", part, key), seconds
 
 
-RIG_CHECKS: tuple[Check, ...] = (rig_runs, stacks_are_there, staircases_are_somewhere, faults_name_recordings)
+RIG_CHECKS: tuple[Check, ...] = (
+    rig_runs,
+    sizes_fit_the_clearance,
+    stacks_are_there,
+    staircases_are_somewhere,
+    faults_name_recordings,
+)
 """Checks of the rig section."""

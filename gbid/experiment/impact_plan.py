@@ -22,6 +22,8 @@ from gbid.units import SIGNALS
 
 BEFORE_S = 0.2
 """Time before the first blow, which shows what the disc does anyway."""
+LOOPS = ("open", "closed")
+"""Names of the loops that need no further controller."""
 TUNED = "controller"
 """Folder of the results in which the tuning leaves its controller."""
 _GOLDEN = 0.6180339887
@@ -37,6 +39,7 @@ class ImpactRecording:
         As the rig takes it.
     point : ImpactPoint
     loop, axis : str
+        The loop is open, closed, or a further one by its name.
     """
 
     planned: PlannedRecording
@@ -79,6 +82,12 @@ def study_name(point: ImpactPoint, loop: str) -> str:
     return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
 
 
+def loop_controllers(section: ImpactsSection) -> dict[str, str]:
+    """Return the word for the controller of each loop, in their order; empty for the open one."""
+    own = {loop: section.controller if loop == "closed" else "" for loop in section.loops}
+    return own | dict(section.beside)
+
+
 def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     """List the recordings with impacts by name, ``p6_n0_open_x`` for example; none without a section."""
     section = experiment.spec.impacts
@@ -86,7 +95,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     for i, point in enumerate(section.operating_points if section else ()):
         assert section is not None
         conditions = {"pressure_bar": point.pressure_bar, "speed_rpm": point.speed_rpm}
-        for loop in section.loops:
+        for loop in loop_controllers(section):
             for axis in section.axes:
                 name = f"{study_name(point, loop)}_{axis}"
                 signals = {**RIG_SIGNALS, "f": SIGNALS["f"].channels}
@@ -129,8 +138,8 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
     return _with_actuators(load_model(path)), file_digest(path)
 
 
-def controller_at(experiment: Experiment, point: ImpactPoint) -> LoopController:
-    """Return the controller that runs at an operating point.
+def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "closed") -> LoopController:
+    """Return the controller that runs in a loop at an operating point.
 
     Raises
     ------
@@ -139,13 +148,14 @@ def controller_at(experiment: Experiment, point: ImpactPoint) -> LoopController:
     """
     section, rig = impacts_section(experiment), experiment.spec.rig
     assert rig is not None
-    if section.controller == "paper":
+    word = {"closed": section.controller, **section.beside}[loop]
+    if word == "paper":
         design = rig_model(experiment).controller
         if design is None:
             raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
         continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
         return LoopController(continuous, sample_controller(continuous, rig.sample_time_s), repr(design))
-    path = controller_path(experiment)
+    path = controller_path(experiment, word)
     made: ControllerDesign = load_controller(path)
     if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
         raise UsageError(
@@ -155,33 +165,32 @@ def controller_at(experiment: Experiment, point: ImpactPoint) -> LoopController:
     return LoopController(made.at(*at), made.sampled_at(*at), file_digest(path))
 
 
-def controller_path(experiment: Experiment) -> Path:
-    """Path of the controller file that the section names.
+def controller_path(experiment: Experiment, word: str) -> Path:
+    """Path of the controller file that a word other than ``paper`` means.
 
     Raises
     ------
     UsageError
         When it is not there.
     """
-    section = impacts_section(experiment)
-    if not is_tuned(section):
-        path = experiment.folder / section.controller
+    if not is_tuned(word):
+        path = experiment.folder / word
         if not path.is_file():
             raise UsageError(f"{path}: no such controller file; write paper, tuned, or the name of one")
         return path
-    path = experiment.results / TUNED / f"{tuned_design(experiment)}.yaml"
+    path = experiment.results / TUNED / f"{tuned_design(experiment, word)}.yaml"
     if not path.is_file():
         raise UsageError(f"{path}: not there; `gbid tune` makes it")
     return path
 
 
-def is_tuned(section: ImpactsSection) -> bool:
-    """Whether the controller is one that the tuning leaves."""
-    return section.controller.partition(":")[0] == "tuned"
+def is_tuned(word: str) -> bool:
+    """Whether a word means a controller that the tuning leaves."""
+    return word.partition(":")[0] == "tuned"
 
 
-def tuned_design(experiment: Experiment) -> str:
-    """Name of the design that the section means by ``tuned`` or ``tuned:NAME``.
+def tuned_design(experiment: Experiment, word: str) -> str:
+    """Name of the design that is meant by ``tuned`` or ``tuned:NAME``.
 
     Raises
     ------
@@ -189,7 +198,7 @@ def tuned_design(experiment: Experiment) -> str:
         When there is no such design, or several and none is named.
     """
     designs = experiment.spec.controller
-    name = impacts_section(experiment).controller.partition(":")[2]
+    name = word.partition(":")[2]
     if not designs:
         raise UsageError("there is no section 'controller' whose design could be meant; add one")
     if name and name not in designs:

@@ -16,6 +16,7 @@ import h5py
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
+from gbid.hdf5 import changing
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files hold ``content_key: <key>`` in a comment."""
@@ -101,7 +102,7 @@ def writing_keyed(path: Path, key: str) -> Iterator[Path]:
     with atomic_path(path, overwrite=True) as part:
         yield part
         if path.suffix == ".h5":
-            with h5py.File(part, "r+") as file:
+            with changing(part) as file:
                 file.attrs[ATTRIBUTE] = key
 
 

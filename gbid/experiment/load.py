@@ -133,7 +133,12 @@ def _parse(data: Any) -> tuple[ExperimentFile | None, list[tuple[Location, str]]
     try:
         return ExperimentFile.model_validate(data), []
     except ValidationError as error:
-        return None, [schema_text(ExperimentFile, e) for e in error.errors(include_url=False)]
+        found = error.errors(include_url=False)
+        # A list whose entries are wrong is told by these; that it then has too few is no second mistake.
+        inside = {e["loc"][:-1] for e in found}
+        return None, [
+            schema_text(ExperimentFile, e) for e in found if not (e["type"] == "too_short" and e["loc"] in inside)
+        ]
 
 
 def _without(data: Any, locations: Sequence[Location]) -> Any:

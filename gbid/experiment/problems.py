@@ -13,6 +13,7 @@ from gbid.errors import UsageError
 
 Location = tuple[str | int, ...]
 """Keys and list positions that lead to a value of the YAML."""
+_LISTED, _FIRST = 30, 8  # names that one line lists at most; of more, so many
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,12 @@ def dotted(location: Location) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Say what was probably meant and what there is."""
+    """Say what was probably meant and what there is; of many, the first ones."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""
-    return f"{meant}there is {', '.join(known) or 'nothing'}"
+    listed, more = (known, 0) if len(known) <= _LISTED else (known[:_FIRST], len(known) - _FIRST)
+    return f"{meant}there is {', '.join(listed) or 'nothing'}{f' and {more} more' if more else ''}"
 
 
 def schema_text(model: type[BaseModel], error: Any) -> tuple[Location, str]:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, Strict
 
-from gbid.experiment.fields import Count, CountOrZero, NotNegative, Positive, Section, Text
+from gbid.experiment.fields import Count, CountOrZero, Name, NotNegative, Positive, Section, Text
 
 
 class ImpactPoint(Section):
@@ -21,11 +21,13 @@ class ImpactsSection(Section):
 
     `controller`: ``paper`` is the one in the rig's model file, ``tuned`` the design of the
     section controller (``tuned:NAME`` of several), else a controller file.
+    `beside`: further closed loops by name, each with a controller in the same words.
     `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment;
     the rig's own when left out. `repeats` is the number of blows in a recording, `spacing_s` the time between them.
     """
 
     controller: Text = "paper"
+    beside: dict[Name, Text] = Field(default_factory=dict)
     model: Text | None = None
     operating_points: Annotated[tuple[ImpactPoint, ...], Field(min_length=1)]
     loops: Annotated[tuple[Literal["open", "closed"], ...], Field(min_length=1)] = ("open", "closed")

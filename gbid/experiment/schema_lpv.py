@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Field, Strict
+from pydantic import BeforeValidator, Field, Strict
 
 from gbid.experiment.fields import Name, Section, Switch, Text
 
 Term = Literal["1", "P", "Omega", "Omega P", "P^2", "Omega^2"]
+
+
+def _order(value: Any) -> Any:
+    """Refuse in one line what none of the three ways of writing it allows."""
+    terms = get_args(Term)
+    listed = isinstance(value, list | tuple) and value and all(term in terms for term in value)
+    if not listed and value != "auto" and (type(value) is not int or value not in (0, 1, 2)):
+        words = ", ".join(f'"{term}"' for term in terms)
+        raise ValueError(f"expected 0, 1, 2, auto, or a list of terms out of {words}; found {value!r}")
+    return value
 
 
 class LpvSection(Section):
@@ -20,7 +30,9 @@ class LpvSection(Section):
 
     fit: Name
     weighting: Literal["scatter", "fits", "ordinary"] = "scatter"
-    order: Annotated[int, Strict(), Field(ge=0, le=2)] | Literal["auto"] | tuple[Term, ...] = 2
+    order: Annotated[
+        Annotated[int, Strict(), Field(ge=0, le=2)] | Literal["auto"] | tuple[Term, ...], BeforeValidator(_order)
+    ] = 2
     robust: Switch = False
     direct: Switch = False
     actuators: Text | None = None

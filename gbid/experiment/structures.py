@@ -15,6 +15,7 @@ from gbid.experiment.load import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.problems import nearest
 from gbid.experiment.schema_fits import StructureOptions
+from gbid.experiment.schema_lpv import LpvSection
 from gbid.lpv import LPVModel, load_model
 from gbid.rig import RotorBearingTruth, scatter_random, scattered
 from gbid.share import share_folder
@@ -103,6 +104,31 @@ def rig_model(experiment: Experiment) -> LPVModel:
     if Path(name).suffix in (".yaml", ".yml"):
         return load_model(_folder_of(experiment, name) / name)
     return load_model(name)
+
+
+def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
+    """Give the actuators that surfaces are to carry: those of a model; None when they are still to be chosen.
+
+    Raises
+    ------
+    UsageError
+        When they are to be the nominal ones and no section chooses these; for a model that is not there, or knows none.
+    """
+    wanted = section.actuators
+    if wanted is None:
+        return {}
+    if wanted == "nominal":
+        if experiment.spec.nominal is None:
+            raise UsageError("there is no section 'nominal'; add one, or name a model or its file")
+        return None
+    beside = experiment.folder / wanted
+    try:
+        found = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
+    except UsageError as error:
+        raise UsageError(f"expected nominal, or a model or its file; {error}") from None
+    if not found:
+        raise UsageError(f"model {wanted!r} knows no actuators; name another, or write nominal")
+    return dict(found)
 
 
 def true_values(experiment: Experiment, recordings: Sequence[str], structure: Structure) -> dict[str, float]:

@@ -36,6 +36,23 @@ class BlockSums(NamedTuple):
     end_theta: FloatArray
 
 
+class Prediction(NamedTuple):
+    """States and errors of all blocks.
+
+    Attributes
+    ----------
+    states : (n_groups, length, n, lanes) array
+    errors : (n_groups, length, n_y, lanes) array
+        ``y - yhat``, zero where samples do not count.
+    end : (n, W) array
+        State after the whole length of each block, padding included.
+    """
+
+    states: FloatArray
+    errors: FloatArray
+    end: FloatArray
+
+
 class Engine(Protocol):
     """Something that runs the recursion over all blocks."""
 
@@ -54,5 +71,33 @@ class Engine(Protocol):
             Upper triangular, ``root' root`` the weight.
         free : (length, n_y, n) array
             Weighted response to the start, ``root C F^k``.
+        """
+        ...
+
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Run the state alone, from starts (n, W)."""
+        ...
+
+    def adjoint(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Run the adjoint backwards: ``a[k] = F' a[k+1] - C' w[k]``.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        weighted : (n_groups, length, n_y, lanes) array
+            Weighted errors ``w``.
+        states : (n_groups, length, n, lanes) array
+        last : (n, W) array
+            The adjoint at the end of each block.
+
+        Returns
+        -------
+        (n, W) array
+            The adjoint at the start of each block.
+        (n + n_y, n + n_z) array
+            Derivative of the cost by the entries of ``[F G; C H]``.
         """
         ...

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +14,7 @@ from gbid.identify.predictor import Predictor
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 LONGEST_BLOCK = 512  # samples; a longer shooting window is made of several blocks, see gbid.identify.sweep
 LANES = 8  # blocks side by side in one vector register of the widest kind
 
@@ -100,6 +102,12 @@ class Blocks:
     def n_blocks(self) -> int:
         """Number of blocks, padding not counted."""
         return int(self.window_size.sum())
+
+    @cached_property
+    def by_window(self) -> tuple[IntArray, BoolArray]:
+        """Blocks of each window in order, (n_windows, per_window), and which of these are its own."""
+        place = np.arange(self.per_window)
+        return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
 
     @property
     def linked(self) -> IntArray:

@@ -12,10 +12,13 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from gbid.identify.adjoint import lagrangian_gradient
 from gbid.identify.shooting import Iterate, Shooting
 
 FloatArray = npt.NDArray[np.float64]
 _REFRESH = 2  # iterations for which the columns of the disturbance gain serve
+_DIFFERENCE = 1e-4  # step of a difference, in units in which the cost has curvature one
+_MOST_DIFFERENCES = 8  # columns; with more, as for gains local to many recordings, they cost more than they save
 _WORTHLESS = 1e-8  # cosine below which a step says nothing about the curvature along it
 
 
@@ -62,7 +65,7 @@ class StructuredSecant:
         """Evaluate at the solver's next point, and learn from the step to it."""
         problem, pattern = self._problem, self._problem.hessian_pattern
         if self._calls % _REFRESH == 0:
-            self._base = problem.correction(unknowns, lam_gaps)
+            self._base = noise_columns(problem, unknowns, lam_gaps)
         self._calls += 1
         here = problem.at(unknowns)
         entries = here.hessian + self._base
@@ -89,3 +92,33 @@ class StructuredSecant:
         along = float(left @ own)
         if abs(along) > _WORTHLESS * float(np.linalg.norm(left) * np.linalg.norm(own)):
             self._learned += np.outer(left, left) / along
+
+
+def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
+    """Add this to the Gauss-Newton Hessian of the Lagrangian to have exact columns for the disturbance gain.
+
+    What the disturbance gain does to the predictions is made of the errors themselves, so the second derivatives
+    that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences of the Lagrangian's
+    gradient.
+
+    Returns
+    -------
+    (n_nonzeros,) array
+        Entries where `Shooting.hessian_pattern` has them.
+    """
+    iterate = problem.at(unknowns)
+    entries = iterate.hessian.copy()
+    if not problem.noise or len(problem.noise) > _MOST_DIFFERENCES:
+        return np.zeros_like(entries)
+    here = problem.lagrangian_gradient(iterate, 1.0, lam_gaps)
+    rows, columns = problem.hessian_pattern.rows, problem.hessian_pattern.columns
+    for j in problem.noise:
+        there = unknowns.copy()
+        there[j] += _DIFFERENCE
+        slope = (lagrangian_gradient(problem, there, lam_gaps) - here) / _DIFFERENCE
+        if not np.isfinite(slope).all():
+            continue
+        in_column, in_row = columns == j, rows == j
+        entries[in_column] = slope[rows[in_column]]
+        entries[in_row] = slope[columns[in_row]]
+    return entries - iterate.hessian

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
-from gbid.identify.block_sums import BlockSums, Engine
+from gbid.identify.block_sums import BlockSums, Engine, Prediction
 from gbid.identify.blocks import LANES, Blocks
 from gbid.identify.kernel_source import KernelPattern, kernel_source
 from gbid.identify.numpy_pass import run_with_numpy
@@ -86,21 +86,26 @@ class CompiledEngine:
     def _build(self, pattern: KernelPattern) -> None:
         self._pattern = pattern
         arrays = tuple((array.shape, array.tobytes()) for array in pattern.arrays())
-        self._pass = load_library(_source(arrays)).gbid_pass
-        self._pass.restype = None
+        library = load_library(_source(arrays))
+        self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
+        self._pass.restype = self._predict.restype = self._adjoint.restype = None
+
+    def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
+        """Make the kernel anew where the predictor has met other nonzeros; return the regressors."""
+        met = pattern_of(v)
+        if not self._pattern.covers(met):
+            self._build(self._pattern.union(met))
+        if blocks.lanes != LANES:
+            raise UsageError(f"the compiled pass wants {LANES} blocks in a group, not {blocks.lanes}")
+        return blocks.z(v.shift)
 
     def __call__(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
     ) -> BlockSums:
         """Run the pass; see `Engine`."""
-        met = pattern_of(v)
-        if not self._pattern.covers(met):
-            self._build(self._pattern.union(met))
+        z = self._fit_for(v, blocks)
         n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
-        z = blocks.z(v.shift)
         n_groups, length, _, lanes = z.shape
-        if lanes != LANES:
-            raise UsageError(f"the compiled pass wants {LANES} blocks in a group, not {lanes}")
         by_group = np.ascontiguousarray(starts.reshape(n_groups, lanes, n).transpose(0, 2, 1))
         hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
         gradient = np.empty((n_groups, n_p, lanes))
@@ -120,6 +125,32 @@ class CompiledEngine:
             _per_block(end_theta).transpose(0, 2, 1),
         )
 
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Run the state alone; see `Engine`."""
+        z = self._fit_for(v, blocks)
+        n_groups, length, _, lanes = z.shape
+        n = len(v.F)
+        states, errors = np.empty((n_groups, length, n, lanes)), np.empty_like(blocks.y)
+        end = np.empty((n_groups, n, lanes))
+        arrays = [*(np.ascontiguousarray(a) for a in v[:4]), z, blocks.y, blocks.used, _by_group(starts)]
+        pointers = (_pointer(a) for a in [*arrays, states, errors, end])
+        self._predict(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
+
+    def adjoint(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Run the adjoint backwards; see `Engine`."""
+        z = self._fit_for(v, blocks)
+        n_groups, length, n_z, lanes = z.shape
+        n, n_y = len(v.F), len(v.C)
+        first, sums = np.empty((n_groups, n, lanes)), np.empty((n + n_y, n + n_z))
+        size = np.ascontiguousarray(blocks.size, np.int64)
+        arrays = [np.ascontiguousarray(a) for a in (v.F, v.C, weighted, states)] + [z, size, _by_group(last)]
+        pointers = (_pointer(a) for a in [*arrays, first, sums])
+        self._adjoint(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return first.transpose(1, 0, 2).reshape(n, -1), sums
+
 
 @lru_cache(maxsize=32)
 def _source(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> str:
@@ -130,6 +161,11 @@ def _source(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> str:
 def pattern_of(v: PredictorValues) -> KernelPattern:
     """Entries that differ from zero at one parameter value."""
     return KernelPattern(*(array != 0 for array in v[:8]))
+
+
+def _by_group(values: FloatArray) -> FloatArray:
+    """(n, W) to (n_groups, n, lanes)."""
+    return np.ascontiguousarray(values.reshape(len(values), -1, LANES).transpose(1, 0, 2))
 
 
 def _per_block(values: FloatArray) -> FloatArray:

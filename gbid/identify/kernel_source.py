@@ -77,6 +77,8 @@ def kernel_source(pattern: KernelPattern) -> str:
         STEPS=steps,
         TILE=_TILE,
         STEP="\n".join("      " + line for line in step),
+        PREDICT="\n".join("      " + line for line in [*_errors(pattern), *_state(pattern)]),
+        BACK="\n".join("      " + line for line in _adjoint(pattern)),
     )
 
 
@@ -89,14 +91,21 @@ def _sum(terms: list[str]) -> str:
     return " + ".join(terms) if terms else "zero"
 
 
-def _outputs(p: KernelPattern) -> list[str]:
-    """Error of every output and its weighted value."""
+def _errors(p: KernelPattern) -> list[str]:
+    """Error of every output."""
     n_y, n = p.C.shape
     n_z = p.G.shape[1]
     lines = []
     for j in range(n_y):
         terms = _terms(p.C[j], "C", j * n, "x") + _terms(p.H[j], "H", j * n_z, "z")
         lines.append(f"e[{j}] = (y[{j}] - ({_sum(terms)})) * m;")
+    return lines
+
+
+def _outputs(p: KernelPattern) -> list[str]:
+    """Error of every output and its weighted value."""
+    n_y = len(p.C)
+    lines = _errors(p)
     for a in range(n_y):
         lines.append(f"E[t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*e[{j}]' for j in range(a, n_y)])};")
     lines += [f"ee[{a * n_y + b}] += e[{a}]*e[{b}];" for a in range(n_y) for b in range(a, n_y)]
@@ -106,6 +115,17 @@ def _outputs(p: KernelPattern) -> list[str]:
 def _state(p: KernelPattern) -> list[str]:
     n, n_z = p.G.shape
     return [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
+
+
+def _adjoint(p: KernelPattern) -> list[str]:
+    """Step of the adjoint from the state after a sample to the state at it."""
+    n = len(p.F)
+    lines = []
+    for c in range(n):
+        back = [f"F[{r * n + c}]*a[{r}]" for r in np.flatnonzero(p.F[:, c])]
+        out = [f"C[{j * n + c}]*w[{j}]" for j in np.flatnonzero(p.C[:, c])]
+        lines.append(f"na[{c}] = {_sum(back)} - ({_sum(out)});")
+    return lines
 
 
 def _sensitivity(p: KernelPattern, i: int) -> list[str]:
@@ -234,5 +254,64 @@ void gbid_pass(long groups, long length,
     for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(hs[i*NPP + j]);
   for (int a = 0; a < NY; a++)
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
+}}
+
+/* States and errors alone, from given starts. */
+void gbid_predict(long groups, long length,
+                  const double *restrict F, const double *restrict G, const double *restrict C,
+                  const double *restrict H, const double *restrict zs, const double *restrict ys,
+                  const double *restrict used, const double *restrict starts,
+                  double *restrict states, double *restrict errors, double *restrict end) {{
+  const v zero = {{0}};
+  (void)G; (void)H;
+  for (long b = 0; b < groups; b++) {{
+    v x[N], nx[N], e[NY];
+    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (long k = 0; k < length; k++) {{
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *y = (const u *)(ys + (b*length + k)*NY*8);
+      const v m = *(const u *)(used + (b*length + k)*8);
+{PREDICT}
+      for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
+      for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      for (int c = 0; c < N; c++) x[c] = nx[c];
+    }}
+    for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+  }}
+}}
+
+/* Adjoint of the cost, backwards from its value at the end of each block; and sums of its products with states and
+   regressors, rows those of F and G, then those of C and H. */
+void gbid_adjoint(long groups, long length, const double *restrict F, const double *restrict C,
+                  const double *restrict weighted, const double *restrict states, const double *restrict zs,
+                  const long long *restrict size, const double *restrict last,
+                  double *restrict first, double *restrict sums) {{
+  const v zero = {{0}};
+  v S[N + NY][N + NZ];
+  for (int i = 0; i < N + NY; i++) for (int j = 0; j < N + NZ; j++) S[i][j] = zero;
+  for (long b = 0; b < groups; b++) {{
+    v a[N], na[N];
+    for (int c = 0; c < N; c++) a[c] = zero;
+    for (long k = length - 1; k >= 0; k--) {{
+      const u *x = (const u *)(states + (b*length + k)*N*8);
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *w = (const u *)(weighted + (b*length + k)*NY*8);
+      for (int l = 0; l < 8; l++)
+        if (size[8*b + l] == k + 1)
+          for (int c = 0; c < N; c++) a[c][l] = last[(b*N + c)*8 + l];
+      for (int i = 0; i < N; i++) {{
+        for (int j = 0; j < N; j++) S[i][j] += a[i]*x[j];
+        for (int j = 0; j < NZ; j++) S[i][N + j] += a[i]*z[j];
+      }}
+      for (int i = 0; i < NY; i++) {{
+        for (int j = 0; j < N; j++) S[N + i][j] -= w[i]*x[j];
+        for (int j = 0; j < NZ; j++) S[N + i][N + j] -= w[i]*z[j];
+      }}
+{BACK}
+      for (int c = 0; c < N; c++) a[c] = na[c];
+    }}
+    for (int c = 0; c < N; c++) *(u *)(first + (b*N + c)*8) = a[c];
+  }}
+  for (int i = 0; i < N + NY; i++) for (int j = 0; j < N + NZ; j++) sums[i*(N + NZ) + j] = total(S[i][j]);
 }}
 """

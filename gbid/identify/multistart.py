@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult
@@ -40,6 +41,12 @@ class MultiStart:
     converged: npt.NDArray[np.bool_]
     same_optimum: int
     spread: float
+
+    def __repr__(self) -> str:
+        about = (
+            f"{len(self.losses)} starts, {int(self.converged.sum())} converged, {self.same_optimum} to the same optimum"
+        )
+        return brief(self, about, losses=self.losses, best=f"{self.best.structure}, {self.best.status}")
 
 
 def fit_multistart(

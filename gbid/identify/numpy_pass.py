@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.block_sums import BlockSums
+from gbid.identify.block_sums import BlockSums, Prediction
 from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
@@ -13,34 +13,72 @@ FloatArray = npt.NDArray[np.float64]
 _CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
 
 
-def run_with_numpy(
-    v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
-) -> BlockSums:
-    """Run the recursion with numpy, some groups at a time; an `Engine`."""
-    n, n_p = len(v.F), len(v.dF)
-    z = blocks.z(v.shift)
-    n_groups, length, _, lanes = z.shape
-    per_group = 8 * length * n * (1 + n_p) * lanes
-    step = max(1, _CHUNK_BYTES // per_group)
-    parts = []
-    for first in range(0, n_groups, step):
-        part = slice(first, first + step)
-        rows = slice(first * lanes, (first + step) * lanes)
-        parts.append(
-            _run(
-                v,
-                _flat(z[part]),
-                _flat(blocks.y[part]),
-                _flat(blocks.used[part, :, None])[:, 0],
-                blocks.size[rows],
-                starts[rows].T,
-                root,
-                free,
+class NumpyEngine:
+    """The pass in numpy; an `Engine`."""
+
+    def __call__(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
+    ) -> BlockSums:
+        """Run the recursion with numpy, some groups at a time; an `Engine`."""
+        n, n_p = len(v.F), len(v.dF)
+        z = blocks.z(v.shift)
+        n_groups, length, _, lanes = z.shape
+        per_group = 8 * length * n * (1 + n_p) * lanes
+        step = max(1, _CHUNK_BYTES // per_group)
+        parts = []
+        for first in range(0, n_groups, step):
+            part = slice(first, first + step)
+            rows = slice(first * lanes, (first + step) * lanes)
+            parts.append(
+                _run(
+                    v,
+                    _flat(z[part]),
+                    _flat(blocks.y[part]),
+                    _flat(blocks.used[part, :, None])[:, 0],
+                    blocks.size[rows],
+                    starts[rows].T,
+                    root,
+                    free,
+                )
             )
-        )
-    joined = [np.concatenate([part[i] for part in parts]) for i in range(2, 7)]
-    totals = [np.sum([part[i] for part in parts], axis=0) for i in range(2)]
-    return BlockSums(*totals, *joined)
+        joined = [np.concatenate([part[i] for part in parts]) for i in range(2, 7)]
+        totals = [np.sum([part[i] for part in parts], axis=0) for i in range(2)]
+        return BlockSums(*totals, *joined)
+
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Run the state alone; see `Engine`."""
+        z = blocks.z(v.shift)
+        n_groups, length, _, lanes = z.shape
+        states = np.empty((length + 1, n_groups, len(v.F), lanes))
+        states[0] = starts.reshape(len(v.F), n_groups, lanes).transpose(1, 0, 2)
+        forcing = (v.G @ z).transpose(1, 0, 2, 3)
+        for k in range(length):
+            np.matmul(v.F, states[k], out=states[k + 1])
+            states[k + 1] += forcing[k]
+        at = np.ascontiguousarray(states[:-1].transpose(1, 0, 2, 3))
+        errors = (blocks.y - v.C @ at - v.H @ z) * blocks.used[:, :, None]
+        return Prediction(at, errors, states[-1].transpose(1, 0, 2).reshape(len(v.F), -1))
+
+    def adjoint(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Run the adjoint backwards; see `Engine`."""
+        z = blocks.z(v.shift)
+        n_groups, length, n, lanes = states.shape
+        size = blocks.size.reshape(n_groups, 1, lanes)
+        given = last.reshape(n, n_groups, lanes).transpose(1, 0, 2)
+        drive = v.C.T @ weighted
+        after = np.empty_like(states)
+        a = np.zeros_like(given)
+        for k in range(length - 1, -1, -1):
+            a = np.where(size == k + 1, given, a)
+            after[:, k] = a
+            a = v.F.T @ a - drive[:, k]
+        left, right = np.concatenate([after, -weighted], axis=2), np.concatenate([states, z], axis=2)
+        return a.transpose(1, 0, 2).reshape(n, -1), np.einsum("gkal,gkbl->ab", left, right, optimize=True)
+
+
+run_with_numpy = NumpyEngine()
 
 
 def _flat(values: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief, estimates
 from gbid.structure import LinearModel
 
 FloatArray = npt.NDArray[np.float64]
@@ -111,8 +112,25 @@ class FitResult:
     sample_time: float
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
+    def __repr__(self) -> str:
+        modes = zip(self.model.modes(), self.modes_std, strict=True)
+        return brief(
+            self,
+            f"{self.structure}, {self.status}",
+            recordings=self.recordings,
+            fit_percent=self.fit_percent,
+            parameters=estimates(self.parameters, self.std, self.free),
+            modes=[f"{f:.2f} +- {df:.2g} Hz, damping {z:.4f} +- {dz:.2g}" for (f, z), (df, dz) in modes],
+            notes=self.notes,
+        )
+
     def parameters_of(self, recording: str) -> dict[str, float]:
         """Parameters as one recording has them, under the structure's names.
+
+        Parameters
+        ----------
+        recording : str
+            Its name.
 
         Raises
         ------
@@ -126,7 +144,13 @@ class FitResult:
         return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
 
     def std_with(self, kind: Literal["white", "robust"]) -> dict[str, float]:
-        """Return standard deviations by one of the two covariances, whichever is trusted."""
+        """Return standard deviations by one of the two covariances, whichever is trusted.
+
+        Parameters
+        ----------
+        kind : {"white", "robust"}
+            Which covariance.
+        """
         chosen = self.covariance_white if kind == "white" else self.covariance_robust
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))
         return {

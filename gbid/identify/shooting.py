@@ -25,8 +25,6 @@ IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
 _WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
-_DIFFERENCE = 1e-4  # step of a difference, in units in which the cost has curvature one
-_MOST_DIFFERENCES = 8  # columns; with more, as for gains local to many recordings, they cost more than they save
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +220,7 @@ class Shooting:
     def errors(self, values: list[PredictorValues], starts: FloatArray) -> list[FloatArray]:
         """Prediction errors of every part in blocks, zero where samples do not count."""
         return [
-            residuals(v, part.blocks, starts[a:b])
+            residuals(v, part.blocks, starts[a:b], part.engine)
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
@@ -256,35 +254,6 @@ class Shooting:
             self._last.clear()
             self._last[key] = iterate
         return self._last[key]
-
-    def correction(self, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
-        """Add this to the Gauss-Newton Hessian of the Lagrangian to have exact columns for the disturbance gain.
-
-        What the disturbance gain does to the predictions is made of the errors themselves, so the second
-        derivatives that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences
-        of the Lagrangian's gradient, one pass each.
-
-        Returns
-        -------
-        (n_nonzeros,) array
-            Entries where `hessian_pattern` has them.
-        """
-        gauss_newton = self.at(unknowns).hessian
-        entries = gauss_newton.copy()
-        if not self.noise or len(self.noise) > _MOST_DIFFERENCES:
-            return np.zeros_like(entries)
-        here = self.lagrangian_gradient(self.at(unknowns), 1.0, lam_gaps)
-        rows, columns = self.hessian_pattern.rows, self.hessian_pattern.columns
-        for j in self.noise:
-            there = unknowns.copy()
-            there[j] += _DIFFERENCE
-            slope = (self.lagrangian_gradient(self._evaluate(there), 1.0, lam_gaps) - here) / _DIFFERENCE
-            if not np.isfinite(slope).all():
-                continue
-            in_column, in_row = columns == j, rows == j
-            entries[in_column] = slope[rows[in_column]]
-            entries[in_row] = slope[columns[in_row]]
-        return entries - gauss_newton
 
     @cached_property
     def noise(self) -> tuple[int, ...]:

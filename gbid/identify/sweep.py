@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.block_sums import BlockSums, Engine
+from gbid.identify.block_sums import BlockSums, Engine, Prediction
 from gbid.identify.blocks import Blocks
 from gbid.identify.numpy_pass import run_with_numpy
 from gbid.identify.predictor import PredictorValues
@@ -87,28 +87,55 @@ def forced_states(v: PredictorValues, blocks: Blocks) -> FloatArray:
     return states
 
 
-def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
-    """Start state of every block, (n, W), from the windows' starts (n_windows, n) and forced ends (n, W).
+def scan(transition: FloatArray, values: FloatArray) -> FloatArray:
+    """Solve ``x[i] = transition x[i-1] + values[i]`` in place along axis 2 of (n, n_windows, steps, m), by doubling."""
+    n, _, steps, _ = values.shape
+    reach = 1
+    while reach < steps:
+        carried = transition @ values[:, :, :-reach].reshape(n, -1)
+        values[:, :, reach:] += carried.reshape(values[:, :, reach:].shape)
+        transition = transition @ transition
+        reach *= 2
+    return values
 
-    Inner blocks of a window are of full length, so one `transition` serves all.
+
+def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
+    """Value at the start of every block, (n, W, m): that of its window, or what the block before makes of its own.
+
+    Inner blocks of a window are of full length, so one `transition` serves all; `starts` (n, n_windows, m) are those
+    of the windows, `ends` (n, W, m) what comes to it in each block.
     """
-    x = np.zeros((len(transition), len(blocks.size)))
-    x[:, blocks.window_first] = starts.T
-    for i in range(1, blocks.per_window):
-        inner = blocks.window_first[blocks.window_size > i] + i
-        x[:, inner] = transition @ x[:, inner - 1] + ends[:, inner - 1]
-    return x
+    blocks_of, inside = blocks.by_window
+    result = np.zeros(ends.shape)
+    values = np.concatenate([starts[:, :, None], ends[:, blocks_of[:, :-1]]], axis=2)
+    result[:, blocks_of[inside]] = scan(transition, values)[:, inside]
+    return result
 
 
-def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
+    """Start state of every block, (n, W), from the windows' starts (n_windows, n) and forced ends (n, W)."""
+    return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
+
+
+def from_starts(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: Engine | None = None) -> Prediction:
+    """States and errors from the windows' starts (n_windows, n)."""
+    run = engine or run_with_numpy
+    return run.predict(v, blocks, _block_starts(v, blocks, starts, powers_of(v.F, blocks.length)[-1], run))
+
+
+def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: Engine | None = None) -> FloatArray:
     """Prediction errors ``y - yhat``, (n_groups, length, n_y, lanes), zero where samples do not count."""
-    powers = powers_of(v.F, blocks.length)
-    states = forced_states(v, blocks)
-    x0 = block_starts(blocks, starts, states[-1], powers[-1])
-    response = v.C @ (states[:-1] + powers[:-1] @ x0)
-    length, n_y, _ = response.shape
-    response = response.reshape(length, n_y, -1, blocks.lanes).transpose(2, 0, 1, 3) + v.H @ blocks.z(v.shift)
-    return np.asarray((blocks.y - response) * blocks.used[:, :, None])
+    return from_starts(v, blocks, starts, engine).errors
+
+
+def _block_starts(
+    v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray, run: Engine
+) -> FloatArray:
+    at_rest = np.zeros((len(v.F), len(blocks.size)))
+    if blocks.per_window > 1:
+        return block_starts(blocks, starts, run.predict(v, blocks, at_rest).end, transition)
+    at_rest[:, : blocks.n_windows] = starts.T
+    return at_rest
 
 
 def sweep(
@@ -145,14 +172,10 @@ def block_sums(
     engine: Engine | None = None,
 ) -> tuple[BlockSums, FloatArray]:
     """Run the engine over all blocks; also return the weighted response to a start, (length, n_y, n)."""
-    if blocks.per_window > 1:
-        x0 = block_starts(blocks, starts, forced_states(v, blocks)[-1], powers[-1])
-    else:
-        x0 = np.zeros((len(v.F), len(blocks.size)))
-        x0[:, : blocks.n_windows] = starts.T
+    run = engine or run_with_numpy
+    x0 = _block_starts(v, blocks, starts, powers[-1], run)
     root = np.linalg.cholesky(weight).T  # W = root' root
     free = np.ascontiguousarray(root @ v.C @ powers[:-1])
-    run = engine or run_with_numpy
     return run(v, blocks, np.ascontiguousarray(x0.T), np.ascontiguousarray(root), free), free
 
 
@@ -191,12 +214,15 @@ def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
     """Follow each window through its blocks: a block's start is the end of the block before."""
     n_blocks, n, n_p = end_theta.shape
     first, size = blocks.window_first, blocks.window_size
-    by_theta = np.zeros((n_blocks, n, n_p))
-    by_start = np.broadcast_to(np.eye(n), (n_blocks, n, n)).copy()
-    for i in range(1, blocks.per_window):
-        here = first[size > i] + i
-        by_theta[here] = powers[-1] @ by_theta[here - 1] + end_theta[here - 1]
-        by_start[here] = powers[-1] @ by_start[here - 1]
+    if blocks.per_window > 1:
+        starts, ends = np.zeros((n, blocks.n_windows, n_p + n)), np.zeros((n, n_blocks, n_p + n))
+        starts[:, :, n_p:] = np.eye(n)[:, None]
+        ends[:, :, :n_p] = end_theta.transpose(1, 0, 2)
+        both = along_windows(blocks, starts, ends, powers[-1]).transpose(1, 0, 2)
+        by_theta, by_start = np.ascontiguousarray(both[:, :, :n_p]), np.ascontiguousarray(both[:, :, n_p:])
+    else:
+        by_theta = np.zeros((n_blocks, n, n_p))
+        by_start = np.broadcast_to(np.eye(n), (n_blocks, n, n))
     last = first + size - 1
     transition = powers[blocks.size[last]]
     return Linked(by_theta, by_start, transition @ by_theta[last] + end_theta[last], transition @ by_start[last])
@@ -210,8 +236,8 @@ def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: L
     hessian, gradient = sums.hessian, sums.gradient.sum(0)
     if blocks.per_window > 1:
         S_t = S.transpose(0, 2, 1)
-        cross = (mixed @ S).sum(0)
-        hessian = hessian + cross + cross.T + (S_t @ (start @ S)).sum(0)
+        cross = np.tensordot(mixed, S, ([0, 2], [0, 1]))
+        hessian = hessian + cross + cross.T + np.tensordot(S, start @ S, ([0, 1], [0, 1]))
         gradient = gradient + np.einsum("wnp,wn->p", S, gradient_start)
         P_t = P.transpose(0, 2, 1)
         mixed = np.add.reduceat((mixed + S_t @ start) @ P, first)

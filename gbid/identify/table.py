@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief, counted
 from gbid.errors import UsageError
 
 FloatArray = npt.NDArray[np.float64]
@@ -94,11 +95,29 @@ class FitTable:
     iterations: npt.NDArray[np.int64]
     wall_time_s: FloatArray
 
+    def __repr__(self) -> str:
+        converged = [name for name, success in zip(self.fit.tolist(), self.success, strict=True) if success]
+        return brief(
+            self,
+            f"{len(self)} fits, {len(converged)} converged",
+            fit=counted(self.fit.tolist()),
+            success=counted(converged),
+            pressure_bar=self.pressure_bar,
+            speed_rpm=self.speed_rpm,
+            parameter_names=", ".join(self.parameter_names),
+            output_names=self.output_names,
+            fit_percent=self.fit_percent,
+        )
+
     def __len__(self) -> int:
         return len(self.fit)
 
     def parameter(self, name: str) -> FloatArray:
         """Estimates of one parameter, (n,).
+
+        Parameters
+        ----------
+        name : str
 
         Raises
         ------
@@ -111,6 +130,11 @@ class FitTable:
 
     def covariance_of(self, names: Sequence[str]) -> FloatArray:
         """Covariances of some parameters in the order given, (n, len(names), len(names)).
+
+        Parameters
+        ----------
+        names : sequence of str
+            Of parameters.
 
         Raises
         ------
@@ -178,6 +202,13 @@ class FitTable:
 
     def row(self, fit: str, model: str) -> dict[str, Any]:
         """One row as a dict, with the names of `columns`.
+
+        Parameters
+        ----------
+        fit : str
+            Name of the fit in the experiment.
+        model : str
+            Name of the recording, or of the group that was fitted together.
 
         Raises
         ------

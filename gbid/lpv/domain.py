@@ -41,7 +41,12 @@ class Domain:
             object.__setattr__(self, name, (low, high))
 
     def contains(self, pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> bool:
-        """Whether all given points lie inside; the borders do."""
+        """Whether all given points lie inside; the borders do.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float or array
+        """
         return all(
             bool(((low <= np.asarray(v, float)) & (np.asarray(v, float) <= high)).all())
             for v, (low, high) in ((pressure_bar, self.pressure_bar), (speed_rpm, self.speed_rpm))

@@ -102,7 +102,7 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
     Parameters
     ----------
     path : path
-        The model file; the .h5 must stand beside it.
+        The model file or the .h5; the other must stand beside it.
 
     Returns
     -------
@@ -116,6 +116,8 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
         When the .h5 is missing, damaged, or belongs to another model.
     """
     path = Path(path)
+    if path.suffix == ".h5":
+        path = path.with_suffix(".yaml")
     model = load_model(path)
     beside = path.with_suffix(".h5")
     with hdf5.reading(beside, KIND) as file:

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
@@ -62,6 +63,16 @@ class LPVFit:
     status: str = "converged"
     success: bool = True
     notes: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            f"{self.model.name}, {self.status}",
+            estimates=f"{len(self.estimates.recordings)} recordings, {len(self.estimates.left_out)} left out",
+            outliers=f"{len(self.outliers)}",
+            options=self.options,
+            notes=self.notes,
+        )
 
     @property
     def coefficients(self) -> FloatArray:

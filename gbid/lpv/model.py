@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, basis, polynomial
 from gbid.lpv.domain import Domain
@@ -91,6 +92,19 @@ class LPVModel:
             object.__setattr__(self, name, MappingProxyType(mapping))
         RotorBearing(pade_order=self.pade_order)  # refuses an order below one
 
+    def __repr__(self) -> str:
+        low, high = zip(self.domain.pressure_bar, self.domain.speed_rpm, strict=True)
+        return brief(
+            self,
+            self.title or self.name,
+            name=self.name,
+            domain=f"{low[0]:g} to {high[0]:g} bar, {low[1]:g} to {high[1]:g} rpm",
+            coefficients=f"of {', '.join(self.coefficients)}",
+            actuators=self.actuators,
+            operating_points=f"{len(self.operating_points)}",
+            source=self.source,
+        )
+
     def key_parameters(self, pressure_bar: Any, speed_rpm: Any, *, extrapolate: bool = False) -> dict[str, Any]:
         """Fourteen key parameters at operating points (Eq. 16).
 
@@ -167,6 +181,11 @@ class LPVModel:
         """Whole plant ``G = G_rb G_act`` at one operating point, from r to p (Eq. 20).
 
         Parameters, errors and warnings are those of `at`; it also refuses when the model knows no actuators.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm, pade_order, extrapolate
+            As in `at`.
 
         Returns
         -------

@@ -21,7 +21,17 @@ class FileTable:
 
 @dataclass(frozen=True)
 class Quantity(FileTable):
-    """One physical value as its source prints it."""
+    """One physical value as its source prints it.
+
+    Attributes
+    ----------
+    value : float
+        In `unit`.
+    unit : str
+        As pint reads it.
+    source : str
+        Where it stands.
+    """
 
     value: Number
     unit: str
@@ -29,6 +39,10 @@ class Quantity(FileTable):
 
     def to(self, unit: str) -> float:
         """Return the value in another unit, as pint writes it.
+
+        Parameters
+        ----------
+        unit : str
 
         Raises
         ------
@@ -60,7 +74,18 @@ class Correction(FileTable):
 
 @dataclass(frozen=True)
 class ProportionalDesign(FileTable):
-    """A decentralised P controller with low-pass (Eq. 21); see `gbid.control.p_controller`."""
+    """A decentralised P controller with low-pass (Eq. 21); see `gbid.control.p_controller`.
+
+    Attributes
+    ----------
+    kappa_x, kappa_y : float
+        Gains [m/m].
+    lowpass_hz : float
+        Corner of the low-pass [Hz].
+    lowpass_order : int
+    source : str
+        Where it stands.
+    """
 
     kappa_x: Number
     kappa_y: Number
@@ -71,7 +96,20 @@ class ProportionalDesign(FileTable):
 
 @dataclass(frozen=True)
 class ReferenceModes(FileTable):
-    """Modes that a source gives for one operating point, as (natural frequency [Hz], damping factor)."""
+    """Modes that a source gives for one operating point, as (natural frequency [Hz], damping factor).
+
+    Attributes
+    ----------
+    pressure_bar, speed_rpm : float
+        Operating point.
+    loop : {"open", "closed"}
+    kind : {"expected", "measured"}
+        From the source's model, or from its recordings.
+    modes : tuple of (float, float)
+        Natural frequency [Hz] and damping factor.
+    source : str
+        Where it stands.
+    """
 
     pressure_bar: Number
     speed_rpm: Number

@@ -56,6 +56,11 @@ class IndexAlignment:
     def apply(self, rec: Recording) -> Recording:
         """Return the recording with its angle counted from the map's zero.
 
+        Parameters
+        ----------
+        rec : Recording
+            The one that was aligned, or another of the same run of the encoder.
+
         Raises
         ------
         DataError

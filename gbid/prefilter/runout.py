@@ -129,6 +129,13 @@ class RunoutMap:
     def check_conditions(self, name: str, conditions: Mapping[str, float]) -> None:
         """Refuse a recording from another operating point than the map's.
 
+        Parameters
+        ----------
+        name : str
+            Of the recording, for the message.
+        conditions : dict of str to float
+            Of the recording.
+
         Raises
         ------
         DataError

@@ -13,7 +13,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
-from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
+from gbid.hdf5 import add_dataset, changing, read_attribute, read_dataset, reading, writing
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording import FloatArray
@@ -79,6 +79,10 @@ def save_prefilter(
 def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterReport, ...]]:
     """Read what `save_prefilter` stored.
 
+    Parameters
+    ----------
+    path : str or path
+
     Raises
     ------
     DataError
@@ -91,7 +95,7 @@ def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterR
 
 def add_report(path: str | Path, report: PrefilterReport) -> None:
     """Store the report of a prefiltered recording in the recording's own file, as ``prefilter_report``."""
-    with h5py.File(path, "r+") as file:
+    with changing(Path(path)) as file:
         _write_report(file.create_group("prefilter_report"), report)
 
 

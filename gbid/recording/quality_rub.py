@@ -14,53 +14,65 @@ OUTSIDE = 0.7
 """Impacts are looked for beyond this share of the largest radius."""
 SIGMAS = 6.0
 """Robust standard deviations by which an impact changes the velocity inwards ..."""
-LEAST = 0.1
-"""... and share of the usual change of velocity (rms) that it is at least."""
+LEAST = 0.25
+"""... and share of the usual velocity (rms) that it is at least."""
 MIN_IMPACTS = 2
 """A rotor that rubs bounces; a single kink may be a disturbed sample."""
-CONTACT_S = 1e-3
-"""Time over which the change of velocity is taken [s]; a contact is about as long."""
+OVER_OUTWARD = 1.5
+"""Times that it is larger than any change outwards, which no wall makes."""
+HALF_WINDOW_S = 2e-3
+"""Half the time over which the motion is weighed [s]: a quarter of a period of the rotor's modes ..."""
+SHORT_S = 0.6e-3
+"""... and where nothing tells what the piezos do: their push grows with this time, an impact's does not."""
 _HARMONICS = 6  # of the shaft angle, which run-out and unbalance make
 _LAGS = (-2, 0, 2, 4, 6, 8)  # samples by which the piezos act earlier
 _EVERY = 3  # sample of those in motion serves for the regression
-_APART = 10  # samples that belong to one impact
 _MIN_SAMPLES = 500
+_ROUNDS, _TRIM = 3, 4.0  # of the regression; standard deviations beyond which a sample takes no part in the next
 
 
 def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     r"""Find impacts of the rotor on the bearing in the disc position p.
 
-    On its gas film the disc changes its velocity smoothly: over one millisecond by what position, velocity, piezos u
-    (or r) and shaft angle explain linearly. A wall changes it at once, always inwards and always far from the
-    centre. So the change is regressed on these, and what is left, projected inwards, is looked at beyond 0.7 of the
-    largest radius: changes of more than six robust standard deviations are impacts, when there are two at least and
-    such changes outwards are rare. Single wrong samples are taken out by a median of three first, times of a
-    measured impact force are left out. On the virtual rig clean recordings stay below 4, a rub gives 10 to 20.
+    On its gas film the disc follows an equation of motion; a wall changes its velocity at once, always inwards and
+    always far from the centre. To see that in noise, the equation is not differentiated but weighed with a smooth
+    window :math:`\psi` of 4 ms: integration by parts gives, around each sample,
+
+    .. math:: \int \ddot\psi p = K \int \psi p - D \int \dot\psi p + B \int \psi u_\tau
+              + \int \psi f + \psi(0) \Delta v,
+
+    so noise enters with :math:`\ddot\psi`, 13 times less than with second differences over 1 ms. The left side is
+    regressed on the integrals of p, u (or r) at several delays, a cubic film and the harmonics of the shaft angle.
+    What is left, projected inwards, is looked at beyond 0.7 of the largest radius: more than six robust standard
+    deviations are impacts, when there are two at least and no change outwards, away from them, is nearly as large.
+    Single wrong samples are taken out by a median of three first, times of a measured impact force are left out.
     """
-    if "p" not in rec.signals or rec.channels["p"] != ("x", "y") or rec.n_samples < _MIN_SAMPLES:
+    known = "u" in rec.signals or "r" in rec.signals
+    half = max(3, round((HALF_WINDOW_S if known else SHORT_S) / rec.sample_time))
+    if "p" not in rec.signals or rec.channels["p"] != ("x", "y") or rec.n_samples < _MIN_SAMPLES + 2 * half:
         return
     p = _median_of_three(rec.signal("p"))
-    half = max(1, round(CONTACT_S / rec.sample_time / 2))
-    k = np.arange(max(_LAGS) + half + 1, rec.n_samples - max(half + 2, -min(_LAGS)))
-    k = k[~_struck(rec)[k]]
+    p = p - p.mean(axis=0)
+    k = np.arange(half - 1, rec.n_samples - half + 1)
+    weighed, basis = _weak_form(rec, p, half)
+    sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
+    k, weighed, basis = k[sound], weighed[sound], basis[sound]
     if len(k) < _MIN_SAMPLES // 2:
         return
-    k = _in_motion(p, k, half)
-    place = p[k] - p.mean(axis=0)
-    radius = np.hypot(*place.T)
-    some, far = k[::_EVERY], k[radius > OUTSIDE * radius.max()]
-    basis, change = _columns(rec, p, some, half), _change(p, some, half)
-    law = _least_squares(basis, change)
-    left = change - basis @ law
-    sigma = 1.4826 * float(np.median(np.abs(left - np.median(left, axis=0)), axis=0).max())
-    limit = max(SIGMAS * sigma, LEAST * float(np.sqrt(np.mean(change**2))))
-    turned_back = _change(p, far, half) - _columns(rec, p, far, half) @ law
-    inward = -np.sum((p[far] - p.mean(axis=0)) * turned_back, axis=1) / radius[radius > OUTSIDE * radius.max()]
-    hit, lost = far[inward > limit], np.count_nonzero(inward < -limit)
-    impacts = np.split(hit, np.flatnonzero(np.diff(hit) > _APART) + 1) if hit.size else []
-    if len(impacts) < MIN_IMPACTS or 3 * lost > hit.size:
+    some = _in_motion(weighed)[::_EVERY]
+    left, sigma = _left(weighed, basis, some)
+    speed = float(np.sqrt(np.mean(np.sum(np.diff(p, axis=0) ** 2, axis=1))))
+    limit = max(SIGMAS * sigma, LEAST * speed)
+    radius = np.hypot(*p[k].T)
+    far = radius > OUTSIDE * radius.max()
+    inward = -np.sum(p[k[far]] * left[far], axis=1) / radius[far]
+    at = k[far]
+    outward = inward[_apart(at, at[inward > limit], 2 * half)].min(initial=0.0)
+    hit = at[inward > max(limit, -OVER_OUTWARD * outward)]
+    impacts = np.split(hit, np.flatnonzero(np.diff(hit) > 2 * half) + 1) if hit.size else []
+    if len(impacts) < MIN_IMPACTS:
         return
-    reached = np.hypot(*(p[hit] - p.mean(axis=0)).T)
+    reached = np.hypot(*p[hit].T)
     text = (
         f"recording {rec.name!r}: signal 'p' shows a rub: {len(impacts)} impacts at {reached.min() * 1e6:.1f} to "
         f"{reached.max() * 1e6:.1f} um from the mean position, the first at {hit[0] * rec.sample_time:.4f} s, turn "
@@ -70,29 +82,60 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     yield SignalProblem("p", "", "rub", text)
 
 
-def _columns(rec: Recording, p: FloatArray, k: npt.NDArray[np.int_], half: int) -> FloatArray:
-    """Collect what a film's change of velocity follows linearly."""
-    columns = [np.ones((len(k), 1)), p[k], p[k + half + 1] - p[k - half - 1]]
+def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
+    """Weigh the motion around each sample: the second-derivative side, and what a film makes it of linearly."""
+    t = np.arange(1 - half, half) / half
+    window = (1 + np.cos(np.pi * t)) / 2
+    slope, bend = -np.pi / 2 * np.sin(np.pi * t) / half, -(np.pi**2) / 2 * np.cos(np.pi * t) / half**2
+    n = len(p) - 2 * half + 2
+    columns = [np.ones((n, 1)), _weigh(p, window), _weigh(p, slope)]
+    columns.append(_weigh(_film(p), window))
     source = next((name for name in ("u", "r") if name in rec.signals), None)
     if source:
-        columns += [rec.signal(source)[k - lag] for lag in _LAGS]
+        moved = rec.signal(source)
+        weighed = _weigh(moved - moved.mean(axis=0), window)
+        columns += [np.roll(weighed, lag, axis=0) for lag in _LAGS]  # the ends that this wraps are left out
     if "phi" in rec.signals and np.ptp(rec.signal("phi")) > 0:
-        turned = np.exp(1j * rec.signal("phi")[k, :1])
+        turned = np.exp(1j * rec.signal("phi")[half - 1 : half - 1 + n, :1])
         for order in range(1, _HARMONICS + 1):
             wave = turned**order
             columns += [wave.real, wave.imag]
-    return np.hstack(columns)
+    return _weigh(p, bend), np.hstack(columns)
 
 
-def _change(p: FloatArray, k: npt.NDArray[np.int_], half: int) -> FloatArray:
-    """Change of the velocity around samples [m per sample]."""
-    return np.asarray((p[k + half + 1] - p[k + half]) - (p[k - half] - p[k - half - 1]))
+def _left(weighed: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
+    """Give what a regression on some samples leaves of all, and its robust standard deviation; impacts do not count."""
+    for _ in range(_ROUNDS):
+        left = weighed - basis @ _least_squares(basis[some], weighed[some])
+        size = np.abs(left[some] - np.median(left[some], axis=0))
+        sigma = 1.4826 * float(np.median(size, axis=0).max())
+        some = some[(size < _TRIM * sigma).all(axis=1)] if sigma else some
+    return left, sigma
 
 
-def _in_motion(p: FloatArray, k: npt.NDArray[np.int_], half: int) -> npt.NDArray[np.int_]:
+def _film(p: FloatArray) -> FloatArray:
+    """Collect what a film adds that stiffens about a centre which is not known."""
+    x, y = p.T
+    return np.stack([x**2, x * y, y**2, x**3, x**2 * y, x * y**2, y**3], axis=-1)
+
+
+def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> npt.NDArray[np.bool_]:
+    """Mark the samples with no impact near: around one the motion is turned both ways."""
+    if not hit.size:
+        return np.ones(len(at), dtype=bool)
+    after = np.searchsorted(hit, at)
+    before, behind = hit[np.maximum(after - 1, 0)], hit[np.minimum(after, hit.size - 1)]
+    return np.asarray(np.minimum(np.abs(at - before), np.abs(behind - at)) > gap, dtype=bool)
+
+
+def _weigh(values: FloatArray, window: FloatArray) -> FloatArray:
+    return np.stack([np.correlate(column, window, mode="valid") for column in values.T], axis=-1)
+
+
+def _in_motion(weighed: FloatArray) -> npt.NDArray[np.int_]:
     """Keep the samples at which the disc moves: where it rests, noise would decide the regression."""
-    energy = np.sum((p[k + half + 1] - p[k - half - 1]) ** 2 + _change(p, k, half) ** 2, axis=1)
-    return np.asarray(k[energy > 0.1 * energy.mean()])
+    energy = np.sum(weighed**2, axis=1)
+    return np.flatnonzero(energy > 0.1 * energy.mean())
 
 
 def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
@@ -104,14 +147,14 @@ def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(gram, scaled.T @ change) / size[:, None])
 
 
-def _struck(rec: Recording) -> npt.NDArray[np.bool_]:
-    """Mark the samples around a measured force."""
+def _struck(rec: Recording, half: int) -> npt.NDArray[np.bool_]:
+    """Mark the samples whose window a measured force reaches."""
     struck = np.zeros(rec.n_samples, dtype=bool)
     for name in ("f", "force"):
         if name in rec.signals:
             size = np.abs(rec.signal(name)).max(axis=1)
             struck |= size > 0.05 * size.max()
-    return np.asarray(np.convolve(struck, np.ones(2 * _APART + 1), mode="same") > 0, dtype=bool)
+    return np.asarray(np.convolve(struck, np.ones(2 * half + 5), mode="same") > 0, dtype=bool)
 
 
 def _median_of_three(values: FloatArray) -> FloatArray:

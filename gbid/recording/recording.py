@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.errors import DataError
 from gbid.units import SIGNALS
 
@@ -91,6 +92,14 @@ class Recording:
         freeze(self, "channels", MappingProxyType(channels))
         freeze(self, "provenance", MappingProxyType({k: str(v) for k, v in self.provenance.items()}))
 
+    def __repr__(self) -> str:
+        about = f"{self.name}, {self.n_samples} samples of {self.sample_time:g} s, {self.duration:g} s"
+        signals = {
+            name: f"{', '.join(self.channels[name])} [{self.units[name]}] {values.min():.4g} to {values.max():.4g}"
+            for name, values in self.signals.items()
+        }
+        return brief(self, about, **signals, conditions=self.conditions)
+
     @property
     def n_samples(self) -> int:
         """Number of samples."""
@@ -109,6 +118,10 @@ class Recording:
     def signal(self, name: str) -> FloatArray:
         """Values of one signal, shape (n_samples, n_channels).
 
+        Parameters
+        ----------
+        name : str
+
         Raises
         ------
         DataError
@@ -122,11 +135,24 @@ class Recording:
             ) from None
 
     def with_signals(self, **signals: npt.ArrayLike) -> Recording:
-        """Return a copy with some signals replaced or added."""
+        """Return a copy with some signals replaced or added.
+
+        Parameters
+        ----------
+        **signals : (n_samples, n_channels) array
+            By name; those that are there are replaced.
+        """
         return replace(self, signals={**self.signals, **{k: np.asarray(v, float) for k, v in signals.items()}})
 
     def slice(self, start: int, stop: int | None = None, name: str | None = None) -> Recording:
         """Return samples `start` to `stop` (exclusive) as a recording of their own.
+
+        Parameters
+        ----------
+        start, stop : int
+            Counted from 0; the end when `stop` is not given.
+        name : str, optional
+            Of the new recording; that of this one when not given.
 
         Raises
         ------

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         plot_actuator_parameters,
         plot_fit_histogram,
     )
+    from gbid.report.designs import designs_pareto_data
     from gbid.report.diagrams import (
         plot_closed_loop,
         plot_differential_pairing,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from gbid.report.figures import plot_response, response_figure, save_figure
     from gbid.report.frequency import MagnitudeCurves, bode_curves, plot_magnitudes, sensitivity_curves
     from gbid.report.impact import ImpactCurves, plot_impact
+    from gbid.report.impact_loops import ImpactLoops, impact_loops_data, plot_impact_loops
     from gbid.report.of_results import (
         crossval_data,
         fit_over_pressure_data,
@@ -64,6 +66,7 @@ _HOME = {
         "plot_actuator_parameters",
         "plot_fit_histogram",
     ),
+    "designs": ("designs_pareto_data",),
     "diagrams": (
         "plot_closed_loop",
         "plot_differential_pairing",
@@ -81,6 +84,7 @@ _HOME = {
     "figures": ("plot_response", "response_figure", "save_figure"),
     "frequency": ("MagnitudeCurves", "bode_curves", "plot_magnitudes", "sensitivity_curves"),
     "impact": ("ImpactCurves", "plot_impact"),
+    "impact_loops": ("ImpactLoops", "impact_loops_data", "plot_impact_loops"),
     "of_results": (
         "crossval_data",
         "fit_over_pressure_data",
@@ -113,6 +117,7 @@ __all__ = [
     "Eigenvalues",
     "Histogram",
     "ImpactCurves",
+    "ImpactLoops",
     "MagnitudeCurves",
     "ParetoFront",
     "PiezoStaircase",
@@ -124,11 +129,13 @@ __all__ = [
     "crossval_data",
     "damping_map_data",
     "delays_data",
+    "designs_pareto_data",
     "eigenvalues_data",
     "fit_over_pressure_data",
     "fit_surfaces_data",
     "histogram_data",
     "impact_data",
+    "impact_loops_data",
     "impact_validation_data",
     "modes_data",
     "nominal_data",
@@ -143,6 +150,7 @@ __all__ = [
     "plot_fit_histogram",
     "plot_identification_flow",
     "plot_impact",
+    "plot_impact_loops",
     "plot_magnitudes",
     "plot_over_pressure",
     "plot_pareto",

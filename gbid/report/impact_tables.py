@@ -16,6 +16,15 @@ from gbid.lpv import ReferenceModes
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
 
+BLOWS = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
+"""Figures of blows in the rows of responses: name, unit, factor to what tables show."""
+_PAPER = ("open", "closed")
+"""Loops that Tables 3 and 4 have."""
+_QUANTITIES = (
+    ("natural frequencies", "ω", " \\[Hz]", "frequency", 0, 1),
+    ("damping factors", "ζ", "", "damping", 1, 3),
+)
+
 
 def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequence[ReferenceModes] = ()) -> Row:
     """Everything that an impact study says, as plain values.
@@ -67,17 +76,38 @@ def impact_tables(documents: Sequence[Row]) -> Group:
     for pressure, speed in points:
         here = {d["loop"]: d for d in documents if (d["pressure_bar"], d["speed_rpm"]) == (pressure, speed)}
         where = f"{pressure:g} bar, {speed:g} rpm"
-        for what, sign, unit, key, column, digits in (
-            ("natural frequencies", "ω", " \\[Hz]", "frequency", 0, 1),
-            ("damping factors", "ζ", "", "damping", 1, 3),
-        ):
-            parts += [_mode_table(f"{where}: {what}", here, sign, unit, key, column, digits), Text("")]
+        paper = {loop: document for loop, document in here.items() if loop in _PAPER}
+        for what, sign, unit, key, column, digits in _QUANTITIES if paper else ():
+            parts += [_mode_table(f"{where}: {what}", paper, sign, unit, key, column, digits), Text("")]
+        for loop, document in here.items():
+            if loop not in paper:
+                parts += [_loop_table(f"{where}: {loop}", document), Text("")]
         parts += [_response_table(where, list(here.values())), Text("")]
+        parts += [_blow_table(where, list(here.values())), Text("")]
         for document in here.values():
             parts += [Text(f"note, {document['loop']} loop: {note}") for note in document["notes"]]
             if not document["success"]:
                 parts.append(Text(f"{document['loop']} loop: {document['status']}"))
     return Group(*parts)
+
+
+def _loop_table(title: str, document: Row) -> Table:
+    """Modes of a further closed loop."""
+    heads = [f"{sign}{mode}{unit}" for _, sign, unit, *_ in _QUANTITIES for mode in (1, 2)]
+    table = new_table(title, ["", *heads], left=("",))
+    for words, prefix, suffix, more in (
+        ("expected from model", "expected", "", 0),
+        ("expected as it runs, sampled", "running", "", 0),
+        ("obtained from the blows", "obtained", "", 2),
+        ("  standard deviation", "obtained", "_std", 2),
+    ):
+        cells = []
+        for *_, key, _, digits in _QUANTITIES:
+            ending = " [Hz]" if key == "frequency" else ""
+            entry = f"{prefix}_{key}{suffix}{ending}"
+            cells += [_cell(_mode(document, mode, entry), digits + more) for mode in (1, 2)]
+        table.add_row(words, *cells)
+    return table
 
 
 def _mode_table(title: str, here: Mapping[str, Row], sign: str, unit: str, key: str, column: int, digits: int) -> Table:
@@ -114,6 +144,23 @@ def _response_table(where: str, documents: Sequence[Row]) -> Table:
                 f"{row['force_scale_std [1/kg]']:.4f}",
                 *(f"{row[key]:.2f}" for key in ("fit_along [%]", "fit_x [%]", "fit_y [%]")),
             )
+    return table
+
+
+def _blow_table(where: str, documents: Sequence[Row]) -> Table:
+    """Lay out what a blow does to disc and piezos, measured and simulated."""
+    title = f"{where}: after a blow, mean over the blows"
+    heads = ["recording"]
+    for what, unit in (("disc up to", "um"), ("over after", "ms"), ("piezo up to", "um")):
+        heads += [f"{what}\n\\[{unit}]", "std", "simulated"]
+    table = new_table(title, heads)
+    for document in documents:
+        for row in document["responses"]:
+            cells = []
+            for name, unit, factor in BLOWS:
+                for suffix in ("", "_std", "_simulated"):
+                    cells.append(_cell(factor * row[f"{name}{suffix} [{unit}]"], 2))
+            table.add_row(row["recording"], *cells)
     return table
 
 

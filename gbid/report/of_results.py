@@ -73,7 +73,12 @@ def crossval_data(summary: ValidationSummary) -> list[Histogram]:
 
 
 def nominal_data(nominal: NominalActuator) -> ActuatorParameters:
-    """Give the actuators of all recordings, for `plot_actuator_parameters` (Fig. 8)."""
+    """Give the actuators of all recordings, for `plot_actuator_parameters` (Fig. 8).
+
+    Parameters
+    ----------
+    nominal : NominalActuator
+    """
     values = dict(zip(nominal.parameter_names, nominal.values.T, strict=True))
     off = {(o.model, o.parameter) for o in nominal.outliers}
     outliers = {name: np.array([(model, name) in off for model in nominal.models]) for name in values}

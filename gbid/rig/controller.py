@@ -67,7 +67,13 @@ class SampledController:
             raise UsageError(f"sampled controller: sample_time = {self.sample_time} s; it must be positive")
 
     def subtracted(self, angle: FloatArray) -> FloatArray:
-        """Return what is taken off the measured position at shown angles [rad], shape (n, 2) [m]."""
+        """Return what is taken off the measured position at shown angles [rad], shape (n, 2) [m].
+
+        Parameters
+        ----------
+        angle : (n,) array
+            Shaft angle as the encoder shows it [rad].
+        """
         if self.runout is None:
             return np.tile(np.asarray(self.offset), (len(angle), 1))
         nodes = np.arange(len(self.runout) + 1) * (TURN / len(self.runout))

@@ -41,6 +41,12 @@ class Impact:
     def along(cls, axis: str, time: float = 0.1, peak: float = 8.0, duration: float = 2e-3) -> Impact:
         """Build an impact along an axis, ``"x"`` or ``"y"``.
 
+        Parameters
+        ----------
+        axis : {"x", "y"}
+        time, peak, duration : float
+            Start [s], largest force [N] and length [s] of the blow.
+
         Raises
         ------
         UsageError
@@ -51,7 +57,13 @@ class Impact:
         return cls(time, peak, duration, 0.0 if axis == "x" else np.pi / 2)
 
     def force(self, time: FloatArray) -> FloatArray:
-        """Give the force at times from the first sample [s], shape (n, 2) [N]."""
+        """Give the force at times from the first sample [s], shape (n, 2) [N].
+
+        Parameters
+        ----------
+        time : (n,) array
+            [s].
+        """
         since = time - self.time
         inside = (since > 0) & (since < self.duration)
         size = np.where(inside, self.peak * np.sin(np.pi * since / self.duration), 0.0)
@@ -95,5 +107,11 @@ class Hammer:
         return np.zeros((n_samples, 2))
 
     def force(self, time: FloatArray) -> FloatArray:
-        """Give the force of all impacts at times from the first sample [s], shape (n, 2) [N]."""
+        """Give the force of all impacts at times from the first sample [s], shape (n, 2) [N].
+
+        Parameters
+        ----------
+        time : (n,) array
+            [s].
+        """
         return np.asarray(sum((impact.force(time) for impact in self.impacts), np.zeros((len(time), 2))))

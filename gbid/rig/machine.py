@@ -79,6 +79,11 @@ class RotorBearingTruth:
     def from_parameters(cls, key_parameters: Mapping[str, Any]) -> RotorBearingTruth:
         """Build it from ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
 
+        Parameters
+        ----------
+        key_parameters : dict of str to float
+            SI.
+
         Raises
         ------
         UsageError

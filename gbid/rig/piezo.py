@@ -109,7 +109,15 @@ class PiezoStack:
         )
 
     def expansion(self, voltage: float, plays: FloatArray) -> float:
-        """Return H at plays that are already where the voltage has taken them [m]."""
+        """Return H at plays that are already where the voltage has taken them [m].
+
+        Parameters
+        ----------
+        voltage : float
+            [V].
+        plays : (n_plays,) array
+            States of the plays [V].
+        """
         return self.spring * voltage + self.play_weight * float(np.sum(plays))
 
     def rest(self, reference: float, voltage: float | None = None) -> StackRest:

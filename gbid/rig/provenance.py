@@ -58,18 +58,33 @@ def spans(time: FloatArray, inside: np.ndarray, sample_time: float) -> list[Span
 
 
 def touch_downs(recording: Recording) -> list[Span]:
-    """Spans of time (first, end) [s] in which the disc touched the bearing; empty when it never did."""
+    """Spans of time (first, end) [s] in which the disc touched the bearing; empty when it never did.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
     return [(float(a), float(b)) for a, b in json.loads(recording.provenance.get("touch_down", "[]"))]
 
 
 def saturations(recording: Recording) -> dict[str, list[Span]]:
-    """Spans of time (first, end) [s] in which a stack was at an end, by its number; empty when none was."""
+    """Spans of time (first, end) [s] in which a stack was at an end, by its number; empty when none was.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
     found = json.loads(recording.provenance.get("saturated", "{}"))
     return {stack: [(float(a), float(b)) for a, b in times] for stack, times in found.items()}
 
 
 def drawn_truth(recording: Recording) -> dict[str, float]:
-    """Fourteen key parameters that a recording of the rig was made with, by name; empty when it tells none."""
+    """Fourteen key parameters that a recording of the rig was made with, by name; empty when it tells none.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
     return {name: float(v) for name, v in json.loads(recording.provenance.get("truth", "{}")).items()}
 
 

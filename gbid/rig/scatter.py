@@ -66,13 +66,31 @@ class Scatter:
 
 
 def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.random.Generator:
-    """Source of a recording's draw: by seed, name and operating point."""
+    """Source of a recording's draw: by seed, name and operating point.
+
+    Parameters
+    ----------
+    seed : int
+    name : str
+        Of the recording.
+    conditions : dict of str to float
+        Its operating point.
+    """
     point = ",".join(f"{key}={float(conditions[key])!r}" for key in sorted(conditions))
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"scatter {name} {point}".encode())))
 
 
 def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Generator) -> tuple[RotorBearingTruth, int]:
     """Draw rotor and bearing of one recording.
+
+    Parameters
+    ----------
+    truth : RotorBearingTruth
+        The machine without scatter.
+    scatter : Scatter
+        What is drawn, and how far.
+    random : numpy.random.Generator
+        Source of the draw; see `scatter_random`.
 
     Returns
     -------

@@ -106,7 +106,18 @@ class StackStaircase:
         return np.zeros((n_samples, 2))
 
     def command(self, top: float, n_samples: int, sample_time: float, n_settle: int) -> FloatArray:
-        """Give what the stack is told, from zero to `top` and back, shape (n_samples,) [V or m]."""
+        """Give what the stack is told, from zero to `top` and back, shape (n_samples,) [V or m].
+
+        Parameters
+        ----------
+        top : float
+            Highest level [V or m].
+        n_samples : int
+        sample_time : float
+            [s].
+        n_settle : int
+            Samples before the logger starts.
+        """
         return held_levels(
             up_and_down(0.0, top / self.steps, self.steps), self.hold_s, sample_time, n_samples, n_settle
         )

@@ -22,6 +22,13 @@ class Matrices(NamedTuple):
     """``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``, as casadi.SX.
 
     `delay` (n_inputs, 1) is empty, and `B_delayed` without entries, where nothing is delayed exactly.
+
+    Attributes
+    ----------
+    A, B, C, D, K : casadi.SX
+        (n, n), (n, n_inputs), (n_outputs, n), (n_outputs, n_inputs), (n, n_outputs).
+    B_delayed, delay : casadi.SX
+        (n, n_inputs), (n_inputs, 1) [s].
     """
 
     A: ca.SX
@@ -67,6 +74,11 @@ class Structure(Protocol):
         """Return ``{"A", "B", "C", "D", "K"}`` as CasADi for symbolic parameters; D and K may be left out.
 
         ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together state an exact input delay.
+
+        Parameters
+        ----------
+        p : Values
+            Parameters by name, ``p.k`` or ``p["k"]``, numbers or symbols.
         """
         ...
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 from gbid.errors import UsageError
 from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
@@ -84,6 +85,19 @@ class LinearModel:
             object.__setattr__(self, field, names)
 
     @property
+    def summary(self) -> str:
+        """Its name, number of states and time, on one line."""
+        time = "continuous time" if self.dt is None else f"samples of {self.dt:g} s"
+        return f"{self.name}, {len(self.A)} states, {time}" + (", exact delays" if self.delay is not None else "")
+
+    def __repr__(self) -> str:
+        modes = [f"{frequency:.2f} Hz, damping {damping:.4f}" for frequency, damping in self.modes()]
+        delay = {} if self.delay is None else {"delay": self.delay}
+        return brief(
+            self, self.summary, input_names=self.input_names, output_names=self.output_names, **delay, modes=modes
+        )
+
+    @property
     def n_states(self) -> int:
         """Number of states."""
         return int(self.A.shape[0])
@@ -128,6 +142,11 @@ class LinearModel:
     def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
         """Response at given frequencies [Hz], shape (n_frequencies, n_outputs, n_inputs).
 
+        Parameters
+        ----------
+        frequency_hz : (n_frequencies,) array
+            [Hz].
+
         Raises
         ------
         UsageError
@@ -150,6 +169,11 @@ class LinearModel:
 
     def discretise(self, sample_time: float) -> LinearModel:
         """Return the model sampled with zero-order hold [s]; the disturbance is held as well.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s].
 
         Raises
         ------

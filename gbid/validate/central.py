@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import stdtrit
 
+from gbid.brief import brief, estimates
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, FitTable, TableEntry, tabulate
 
@@ -96,6 +97,15 @@ class NominalActuator:
     limit: float
     outliers: tuple[ActuatorOutlier, ...]
     left_out: tuple[str, ...]
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            f"{self.name}, the most central of {len(self.models)} models",
+            parameters=estimates(self.parameters, self.std, self.parameters),
+            outliers=f"{len(self.outliers)} beyond {self.limit:g} robust standard deviations",
+            left_out=self.left_out,
+        )
 
 
 def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = None) -> NominalActuator:

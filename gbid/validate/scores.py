@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from gbid.brief import brief
 from gbid.errors import DataError, UsageError
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,6 +41,16 @@ class ValidationScores:
     output_units: tuple[str, ...]
     fit_percent: FloatArray
     infinity_norm: FloatArray
+
+    def __repr__(self) -> str:
+        return brief(
+            self,
+            f"{len(self.models)} pairs of model and recording",
+            models=self.models,
+            output_names=self.output_names,
+            fit_percent=self.fit_percent,
+            infinity_norm=self.infinity_norm,
+        )
 
     def __len__(self) -> int:
         return len(self.models)
@@ -133,6 +144,14 @@ class ValidationSummary:
     worst: tuple[WorstPair, ...]
     points: tuple[PointSummary, ...]
     failed: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        outputs = {
+            name: f"{self.mean[j]:.2f} +- {self.std[j]:.2f} %, {self.least[j]:.2f} to {self.greatest[j]:.2f} %"
+            for j, name in enumerate(self.output_names)
+        }
+        about = f"{self.n_pairs} pairs, {self.n_models} models on {self.n_recordings} recordings"
+        return brief(self, about, **outputs, failed=self.failed)
 
 
 class _Validated(Protocol):

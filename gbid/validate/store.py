@@ -47,6 +47,13 @@ _WORST_TEXTS, _WORST_NUMBERS = ("model", "recording", "output"), ("fit_percent",
 def save_validation_summary(summary: ValidationSummary, path: str | Path, overwrite: bool = False) -> None:
     """Write a summary of a cross-validation to an HDF5 file.
 
+    Parameters
+    ----------
+    summary : ValidationSummary
+    path : str or path
+    overwrite : bool
+        Whether an existing file may be replaced.
+
     Raises
     ------
     UsageError
@@ -74,6 +81,10 @@ def save_validation_summary(summary: ValidationSummary, path: str | Path, overwr
 
 def load_validation_summary(path: str | Path) -> ValidationSummary:
     """Read a summary that `save_validation_summary` wrote.
+
+    Parameters
+    ----------
+    path : str or path
 
     Raises
     ------
@@ -158,6 +169,11 @@ def save_nominal_actuator(
 
 def load_actuators(path: str | Path) -> dict[str, float]:
     """Read the parameters of a nominal actuator, as `gbid.LPVModel` takes them.
+
+    Parameters
+    ----------
+    path : str or path
+        The YAML that `save_nominal_actuator` or an experiment wrote.
 
     Raises
     ------

@@ -18,7 +18,7 @@ from gbid.experiment.stages.recordings import (
     rig_tasks,
 )
 from gbid.experiment.stages.surfaces import draw_surfaces, made_surfaces
-from gbid.experiment.stages.tuning import made_designs, run_tuning
+from gbid.experiment.stages.tuning import made_designs, read_designs, run_tuning
 
 __all__ = [
     "CrossvalRow",
@@ -52,6 +52,7 @@ __all__ = [
     "prefilter_recordings",
     "prefilter_tasks",
     "produce",
+    "read_designs",
     "read_import",
     "residuals_of_pair",
     "rig_tasks",

@@ -12,6 +12,7 @@ import numpy as np
 from gbid.characterise.store import write_csv
 from gbid.control.impact_store import load_impacts, mode_rows, response_rows, save_impacts
 from gbid.control.impact_study import ImpactStudy, study_impacts
+from gbid.errors import GbidError
 from gbid.experiment.impact_plan import (
     ImpactRecording,
     LoopController,
@@ -43,23 +44,30 @@ def run_impacts(job: Job) -> list[Outcome]:
     Returns
     -------
     list of Outcome
-        Empty without a section ``impacts``.
+        Empty without a section ``impacts``. A further loop whose controller is not there failed; the others are run.
 
     Raises
     ------
     UsageError
-        When the controller or the model is not there, or a result made from other settings may not be replaced.
+        When the model or the controller of the closed loop is not there, or a result made from other settings may not
+        be replaced.
     """
     if job.experiment.spec.impacts is None:
         return []
+    idle = [
+        Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input")
+        for loop, why in loops_without_controller(job.experiment).items()
+    ]
+    for outcome in idle:
+        job.reporter.end(outcome)
     outcomes = run_tasks(job, recording_tasks(job))
     studies = run_tasks(job, study_tasks(job))
     there = [o.item for o in studies if o.state != "failed"]
-    return [*outcomes, *studies, *(run_tasks(job, _csv_tasks(job, there)) if there else [])]
+    return [*idle, *outcomes, *studies, *(run_tasks(job, _csv_tasks(job, there)) if there else [])]
 
 
 def recording_tasks(job: Job) -> list[Task]:
-    """List the recordings with impacts."""
+    """List the recordings with impacts, without those of loops whose controller is not there."""
     return [
         Task(
             "impact",
@@ -69,7 +77,7 @@ def recording_tasks(job: Job) -> list[Task]:
             _write_recording,
             (name,),
         )
-        for name, planned in planned_impacts(job.experiment).items()
+        for name, planned in _runnable(job.experiment).items()
     ]
 
 
@@ -81,6 +89,24 @@ def study_tasks(job: Job) -> list[Task]:
         key = study_key(job.experiment, group)
         tasks.append(Task("ringdown", name, job.path(FOLDER, name), key, _write_study, names, read=_read_made))
     return tasks
+
+
+def loops_without_controller(experiment: Experiment) -> dict[str, str]:
+    """Give the further loops whose controller is not there or cannot be read, and why.
+
+    Raises
+    ------
+    UsageError
+        When there is no section ``impacts``.
+    """
+    section, found = impacts_section(experiment), {}
+    for loop in section.beside:
+        try:
+            for point in section.operating_points:
+                controller_at(experiment, point, loop)
+        except GbidError as error:
+            found[loop] = str(error)
+    return found
 
 
 def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
@@ -96,7 +122,7 @@ def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
         **as_settings(record_options(experiment, impact.planned)),
         "experiment": {"hammer": asdict(hammer_of(section, impact.axis, rig.sample_time_s))},
         "machine": asdict(machine_at(experiment, impact.planned, rig_model(experiment))),
-        "controller": _controller(experiment, impact).key if impact.loop == "closed" else "",
+        "controller": _controller(experiment, impact).key if impact.loop != "open" else "",
     }
     return content_key("impact", settings)
 
@@ -104,19 +130,29 @@ def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
 def study_key(experiment: Experiment, group: list[ImpactRecording]) -> str:
     """Content key of a study."""
     section = impacts_section(experiment)
-    settings = {"harmonics": section.harmonics, "lags": section.lags, "model": expecting_model(experiment)[1]}
+    settings = {
+        "harmonics": section.harmonics,
+        "lags": section.lags,
+        "model": expecting_model(experiment)[1],
+        "loop": group[0].loop,
+    }
     return content_key("ringdown", settings, [recording_key(experiment, q) for q in group])
+
+
+def _runnable(experiment: Experiment) -> dict[str, ImpactRecording]:
+    idle = loops_without_controller(experiment)
+    return {name: impact for name, impact in planned_impacts(experiment).items() if impact.loop not in idle}
 
 
 def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
     found: dict[str, list[ImpactRecording]] = {}
-    for impact in planned_impacts(experiment).values():
+    for impact in _runnable(experiment).values():
         found.setdefault(study_name(impact.point, impact.loop), []).append(impact)
     return found
 
 
 def _controller(experiment: Experiment, impact: ImpactRecording) -> LoopController:
-    return controller_at(experiment, impact.point)
+    return controller_at(experiment, impact.point, impact.loop)
 
 
 def _write_recording(job: Job, name: str, part: Path) -> None:
@@ -128,7 +164,7 @@ def _write_recording(job: Job, name: str, part: Path) -> None:
         record_options(experiment, impact.planned),
     )
     running = None
-    if impact.loop == "closed":
+    if impact.loop != "open":
         sampled = _controller(experiment, impact).sampled
         matrices = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
         A, B, C, D = matrices
@@ -148,7 +184,7 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
     experiment, section = job.experiment, impacts_section(job.experiment)
     group = _studies(experiment)[name]
     recordings = [_made_recording(job, impact) for impact in group]
-    controller = _controller(experiment, group[0]) if group[0].loop == "closed" else None
+    controller = _controller(experiment, group[0]) if group[0].loop != "open" else None
     study = study_impacts(
         recordings,
         expecting_model(experiment)[0],
@@ -156,6 +192,7 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
         None if controller is None else controller.sampled,
         harmonics=section.harmonics,
         lags=section.lags,
+        loop=group[0].loop,
     )
     save_impacts(study, part, overwrite=True)
     return _made(study)
@@ -168,7 +205,10 @@ def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
 
 def _made(study: ImpactStudy) -> Made:
     text = "; ".join([study.ringdown.status, *study.ringdown.notes])
-    return Made(text, study.ringdown.success, min(v.along_percent for v in study.validations))
+    # a loop may damp so well that nothing oscillates; that is an answer
+    return Made(
+        text, study.ringdown.success or study.ringdown.aperiodic, min(v.along_percent for v in study.validations)
+    )
 
 
 def _read_made(path: Path) -> Made:

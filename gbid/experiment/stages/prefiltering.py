@@ -134,9 +134,9 @@ def _write_map(job: Job, item: str, part: Path) -> Made:
     return Made("; ".join(runout_map.notes) if runout_map else "")
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=64)
 def _runout_map(job: Job, point: str) -> RunoutMap | None:
-    """Identify the map of an operating point; the recordings of one point mostly come one after the other."""
+    """Identify the map of an operating point: for its recordings, and once more when they are done."""
     section = job.experiment.spec.prefilter
     assert section is not None
     if section.method == "none":

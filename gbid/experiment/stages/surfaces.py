@@ -16,9 +16,9 @@ from gbid.experiment.stages.fitting import fit_arguments, load_made_fit
 from gbid.experiment.stages.pairing import model_key
 from gbid.experiment.stages.performing import produce
 from gbid.experiment.stages.prefiltering import load_fit_input
-from gbid.experiment.structures import make_structure
+from gbid.experiment.structures import lpv_actuators, make_structure
 from gbid.identify import TableEntry, tabulate
-from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model
+from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit
 from gbid.lpv.fit_store import KIND, write_uncertainty
 from gbid.lpv.load import write_model
 from gbid.lpv.model import ACTUATOR_PARAMETERS
@@ -140,18 +140,10 @@ class _Making:
 
     @cached_property
     def _actuators(self) -> dict[str, float]:
-        wanted, experiment = self._section.actuators, self._job.experiment
-        if wanted is None:
-            return {}
-        if wanted != "nominal":
-            beside = experiment.folder / wanted
-            found = load_model(beside if beside.suffix in (".yaml", ".yml") else wanted).actuators
-            if not found:
-                raise UsageError(f"lpv: actuators: model {wanted!r} knows none")
-            return dict(found)
-        if experiment.spec.nominal is None:
-            raise UsageError("lpv: actuators: there is no section 'nominal'; add one")
-        values = load_actuators(self._job.path("nominal", experiment.spec.nominal.fit, ".yaml"))
+        known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
+        if known is not None or nominal is None:
+            return known or {}
+        values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
         return {name: values[name] for name in ACTUATOR_PARAMETERS}
 
     @property

@@ -77,6 +77,32 @@ def run_tuning(job: Job) -> list[Outcome]:
     return [*failed, *designs, *run_tasks(job, files)]
 
 
+def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
+    """Read the designs that are there, made from the present settings and fits, by name; nothing is made.
+
+    Returns
+    -------
+    dict of str to TunedDesign
+    dict of str to str
+        Those that are not there, and why.
+    """
+    found: dict[str, TunedDesign] = {}
+    missing: dict[str, str] = {}
+    surfaces = _surface_keys(job)
+    for name, section in job.experiment.spec.controller.items():
+        path = job.path(TUNED, name)
+        try:
+            key = _design_key(job, section, surfaces)
+            if stored_key(path) == key:
+                found[name] = load_tuned(path)
+            else:
+                made = "made with other settings or data" if path.is_file() else "not made yet"
+                missing[name] = f"{made}; `gbid tune` makes it"
+        except GbidError as error:
+            missing[name] = str(error)
+    return found, missing
+
+
 def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
     """Load the designs that are there, by name."""
     return {o.item: load_tuned(o.path) for o in outcomes if o.stage == "tune" and o.state != "failed"}

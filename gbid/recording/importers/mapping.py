@@ -51,7 +51,13 @@ class SignalMapping:
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
-        """Build from a plain dict with the same keys; raises UsageError when one is unknown."""
+        """Build from a plain dict with the same keys; raises UsageError when one is unknown.
+
+        Parameters
+        ----------
+        entries : dict
+            Keys and values as in the YAML.
+        """
         _check_keys(entries, [f.name for f in fields(cls)], needed=["columns"])
         return cls(**entries)
 

@@ -1,4 +1,4 @@
-"""Section on the controller: designs side by side, pictures of one of them, and the gain explorer."""
+"""Section on the controller: designs side by side, the Pareto front, pictures of each, and the gain explorer."""
 
 from __future__ import annotations
 
@@ -27,6 +27,7 @@ from gbid.report.html.explorer import explorer_part
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Fold, Gallery, Listed, Section, Shown, Table, Words
 from gbid.report.html.pictures import Picture, Pictures
+from gbid.report.html.tuned_blocks import tuned_blocks
 from gbid.report.impact import ImpactCurves, plot_impact
 from gbid.report.tuning import DampingMap, plot_damping_map
 from gbid.structure import LinearModel
@@ -90,11 +91,18 @@ def controller_section(gathered: Gathered, pictures: Pictures) -> tuple[Section,
     blocks += [Words(text, "warn") for text in faults]
     if designs:
         blocks += _compared(designs, points)
+    blocks += tuned_blocks(gathered, pictures)
+    if designs:
         try:
             blocks += _modes(gathered, designs[-1], model)
-            blocks += _pictured(pictures, designs[0], model)
         except GbidError as error:  # surfaces that make no sense somewhere
-            blocks.append(Words(f"{designs[0].name} cannot be drawn: {error}", "warn"))
+            blocks.append(Words(f"modes cannot be compared: {error}", "warn"))
+    for i, design in enumerate(designs):
+        try:
+            drawn = _pictured(pictures, design, model)
+        except GbidError as error:
+            drawn = [Words(f"{design.name} cannot be drawn: {error}", "warn")]
+        blocks += drawn if i == 0 else [Fold(f"Pictures of {design.name}", drawn)]
     blocks.append(explorer_part(model, words, points, [(d.name, d.structure, d.gains) for d in designs]))
     return Section("controller", TITLE, blocks), designs
 

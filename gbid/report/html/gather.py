@@ -10,9 +10,19 @@ from typing import Any, Literal
 import numpy as np
 
 from gbid.control import ControllerDesign, load_controller
+from gbid.control.tuned_design import TunedDesign
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.pairs import recordings_of
-from gbid.experiment.stages import CrossvalRow, Job, fit_tasks, import_tasks, prefilter_tasks, rig_tasks, standing
+from gbid.experiment.stages import (
+    CrossvalRow,
+    Job,
+    fit_tasks,
+    import_tasks,
+    prefilter_tasks,
+    read_designs,
+    rig_tasks,
+    standing,
+)
 from gbid.experiment.stages.common import Task
 from gbid.experiment.stages.crossvalidating import read_crossval, scores_of_rows
 from gbid.experiment.stages.fitting import load_made_fit
@@ -198,6 +208,14 @@ class Gathered:
             except GbidError as error:
                 faults.append(str(error))
         return designs, faults
+
+    @cached_property
+    def tuned(self) -> tuple[dict[str, TunedDesign], dict[str, str]]:
+        """What the tuning made, by name, and why designs are not there."""
+        try:
+            return read_designs(self.job)
+        except GbidError as error:
+            return {}, dict.fromkeys(self.experiment.spec.controller, str(error))
 
     def _found(self, task: Task) -> Found:
         try:

@@ -9,17 +9,19 @@ from gbid.control.impact_store import load_impacts
 from gbid.control.impact_study import ImpactStudy
 from gbid.errors import UsageError
 from gbid.experiment.stages import standing
-from gbid.experiment.stages.impacting import study_tasks
+from gbid.experiment.stages.impacting import loops_without_controller, study_tasks
 from gbid.report.canvas import at_point
 from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Section, Table, Words
-from gbid.report.impact_tables import impact_document
+from gbid.report.html.page import Block, Section, Shown, Table, Words
+from gbid.report.html.pictures import Pictures
+from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
+from gbid.report.impact_tables import BLOWS, impact_document
 
 TITLE = "Impacts"
 _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
 
 
-def impacts_section(gathered: Gathered) -> Section | None:
+def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
     """Show the impact studies; None when the experiment asks for none."""
     section = gathered.experiment.spec.impacts
     if section is None:
@@ -29,17 +31,20 @@ def impacts_section(gathered: Gathered) -> Section | None:
     published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
     modes: list[list[str]] = []
     responses: list[list[str]] = []
+    blows: list[list[str]] = []
     for name, study in studies.items():
         document = impact_document(name, study, gathered.experiment.results, published)
         where = f"{at_point(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
         paper = document["published"].get("measured")
         modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
         for row in document["responses"]:
+            blows.append([row["recording"], where, *(_figure(row, *figure) for figure in BLOWS)])
             scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
             responses.append([row["recording"], where, str(row["blows"]), scale, f"{row['fit_along [%]']:.1f}"])
         blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
         if not document["success"]:
-            blocks.append(Words(f"{where}: {document['status']}", "bad"))
+            tone = "" if study.ringdown.aperiodic else "bad"
+            blocks.append(Words(f"{where}: {document['status']}", tone))
     if modes:
         heads = [
             f"{word} {what}{unit}"
@@ -51,7 +56,33 @@ def impacts_section(gathered: Gathered) -> Section | None:
     if responses:
         columns = ("recording", "where", "blows", "force scale [1/kg]", "fit along the blow [%]")
         blocks.append(Table("Measured against simulated responses", columns, responses, left=("where",)))
-    return Section("impacts", TITLE, blocks)
+        columns = ("recording", "where", "disc up to [µm]", "over after [ms]", "piezo up to [µm]")
+        caption = (
+            "After a blow: mean over the blows ± standard deviation, simulated in brackets; over: 95 % of the energy"
+        )
+        blocks.append(Table(caption, columns, blows, left=("where",)))
+    return Section("impacts", TITLE, [*_pictured(pictures, studies, section.controller), *blocks])
+
+
+def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller: str) -> list[Block]:
+    """Draw the responses of all loops to the same blow, operating point by operating point."""
+    points: dict[str, dict[str, ImpactStudy]] = {}
+    for study in studies.values():
+        closed = "published gains" if controller == "paper" else "closed loop"
+        label = {"open": "open loop", "closed": closed}.get(study.loop, study.loop)
+        where = at_point(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+        points.setdefault(where, {})[label] = study
+    blocks: list[Block] = []
+    for where, loops in points.items():
+        alt = (
+            f"Disc on the rig at {where} after the same blow along x and along y: {', '.join(loops)}; lines are "
+            "means over the blows, bands a standard deviation"
+        )
+        try:
+            blocks.append(Shown(pictures.picture(plot_impact_loops(impact_loops_data(loops)), alt)))
+        except UsageError as error:
+            blocks.append(Words(f"{where}: {error}", "warn"))
+    return blocks
 
 
 def _studies(gathered: Gathered) -> tuple[dict[str, ImpactStudy], list[Block]]:
@@ -59,6 +90,8 @@ def _studies(gathered: Gathered) -> tuple[dict[str, ImpactStudy], list[Block]]:
     studies: dict[str, ImpactStudy] = {}
     blocks: list[Block] = []
     try:
+        for loop, why in loops_without_controller(gathered.experiment).items():
+            blocks.append(Words(f"{loop} loop: {why}", "warn"))
         for task in study_tasks(gathered.job):
             outcome = standing(gathered.job, task)
             if outcome is not None and outcome.state != "failed":
@@ -69,6 +102,11 @@ def _studies(gathered: Gathered) -> tuple[dict[str, ImpactStudy], list[Block]]:
     except UsageError as error:
         blocks.append(Words(str(error), "warn"))
     return studies, blocks
+
+
+def _figure(row: Mapping[str, Any], name: str, unit: str, factor: float) -> str:
+    measured, std, simulated = (factor * row[f"{name}{suffix} [{unit}]"] for suffix in ("", "_std", "_simulated"))
+    return f"{measured:.2f} ± {std:.2f} ({simulated:.2f})"
 
 
 def _mode(where: str, row: Mapping[str, Any], paper: Any) -> list[str]:

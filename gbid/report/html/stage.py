@@ -15,12 +15,13 @@ from gbid.report.html.page import Section
 from gbid.report.html.pictures import Pictures
 from gbid.report.html.quality_section import quality_section
 from gbid.report.html.render import render
+from gbid.report.html.static_section import static_section
 from gbid.report.html.summary_section import not_done, summary_section, warnings
 from gbid.report.html.surfaces_section import surfaces_section
 from gbid.report.html.validation_section import nominal_section, validation_section
 
 NAME = "report.html"
-_FOLDERS = ("crossval", "lpv", "nominal", "impacts", DESIGNS)
+_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", DESIGNS)
 
 
 def write_report(job: Job, path: Path | None = None) -> Outcome:
@@ -64,12 +65,13 @@ def report_text(gathered: Gathered, key: str = "") -> str:
     middle: list[Section | None] = [
         summary_section(gathered, found),
         quality_section(gathered),
+        static_section(gathered, pictures),
         fits_section(gathered),
         validation_section(gathered, pictures),
         nominal_section(gathered, pictures),
         surfaces_section(gathered, pictures),
         controller,
-        impacts_section(gathered),
+        impacts_section(gathered, pictures),
     ]
     spec = gathered.experiment.spec
     sections = [section for section in middle if section is not None]

@@ -10,8 +10,11 @@ from gbid.report.html.fits_section import lost_fits
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Link, Listed, Section, Table, Words
 from gbid.report.html.surfaces_section import LACK
+from gbid.report.html.tuned_blocks import held_back
 from gbid.validate import NominalActuator
 
+KEPT = 0.8
+"""Share of its damping that a design should keep when it is sampled."""
 _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltered", "fit": "fits"}
 
 
@@ -57,6 +60,10 @@ def warnings(gathered: Gathered, designs: list[Design]) -> list[Link]:
             found.append(Link(f"surfaces {item}: far off lie {len(fit.outliers)} of the estimates", "#surfaces"))
     for design in designs:
         found += _of_design(design)
+    tuned, missing = gathered.tuned
+    found += [Link(f"controller {name}: {text}", "#controller") for name, text in missing.items()]
+    for name, made in tuned.items():
+        found += [Link(f"controller {name}: {text}", "#controller") for text in held_back(made)]
     return found
 
 
@@ -67,8 +74,12 @@ def _of_design(design: Design) -> list[Link]:
         return found
     if not all(q.sampled_stable for q in design.assessment.points):
         found.append(Link(f"controller {design.name}: not stable everywhere as it runs, sampled", "#controller"))
+    continuous, sampled = worst["damping"][0], worst["sampled_damping"][0]
+    if sampled < KEPT * continuous:
+        text = f"controller {design.name}: as it runs, sampled, its smallest damping factor is {sampled:.3f}"
+        found.append(Link(f"{text}, not {continuous:.3f}", "#controller"))
     peak = worst["peak_output"][0]
-    if peak > PEAK_SENSITIVITY:
+    if peak > PEAK_SENSITIVITY * (1 + 1e-4):
         found.append(
             Link(f"controller {design.name}: peak of S_o {peak:.3f}, above {PEAK_SENSITIVITY:g}", "#controller")
         )

@@ -1,4 +1,4 @@
-"""The paper's figures, one function each: results in, figure out."""
+"""The paper's figures and those of tuned designs, one function each: results in, figure out."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from gbid.experiment.pairs import recordings_of
 from gbid.experiment.stages import validate_pair
 from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
 from gbid.report.canvas import at_point
+from gbid.report.designs import designs_pareto_data
 from gbid.report.diagrams import (
     plot_closed_loop,
     plot_differential_pairing,
@@ -22,6 +23,7 @@ from gbid.report.diagrams import (
 from gbid.report.figures import response_figure
 from gbid.report.frequency import bode_curves, plot_magnitudes, sensitivity_curves
 from gbid.report.impact import plot_impact
+from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
 from gbid.report.of_results import (
     crossval_data,
     fit_over_pressure_data,
@@ -37,6 +39,7 @@ from gbid.report.paper.results import Results
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
 from gbid.report.static_map import plot_static_map
 from gbid.report.surfaces import plot_surfaces
+from gbid.report.tuning import plot_pareto
 
 Draw = Callable[[Results], Figure]
 _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
@@ -93,6 +96,14 @@ def _impact_validation(axis: Literal["x", "y"], results: Results) -> Figure:
     return plot_impact(impact_validation_data(results.impacts_at(False)["closed"], axis))
 
 
+def _loops(rotating: bool, results: Results) -> Figure:
+    return plot_impact_loops(impact_loops_data(results.loops_at(rotating)))
+
+
+def _pareto(results: Results) -> Figure:
+    return plot_pareto(designs_pareto_data(results.designs))
+
+
 def _piezo(plot: Callable[..., Figure], results: Results) -> Figure:
     return plot([piezo_data(*found) for found in results.piezos])
 
@@ -129,5 +140,11 @@ FIGURES: dict[str, Draw] = {
     "fig27_impact_turning_y": partial(_impact, "y", True),
     "figA28_piezo_hysteresis": partial(_piezo, plot_piezo_hysteresis),
     "figA29_piezo_staircase": partial(_piezo, plot_piezo_staircase),
+    "designs_impacts": partial(_loops, False),
+    "designs_impacts_turning": partial(_loops, True),
+    "designs_pareto": _pareto,
 }
-"""Figures by name: number in the paper and what they show. Each raises `DataError` when its results are not there."""
+"""Figures by name: number in the paper and what they show; past the paper those of tuned designs.
+
+Each raises `DataError` when its results are not there.
+"""

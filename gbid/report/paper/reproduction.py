@@ -10,10 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
+from gbid.control import close_loop
 from gbid.errors import DataError, GbidError
 from gbid.lpv import CHARACTERISTICS, characteristics
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
-from gbid.report.paper.results import Results
+from gbid.report.paper.results import POINT, Results
 from gbid.structure import KEY_PARAMETERS
 
 Verdict = Literal["within", "explained", "off", "missing"]
@@ -137,6 +138,15 @@ def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
                 yield f"obtained_{loop}_{what}_{i}", partial(_obtained, loop, i - 1, what)
     for i in (1, 2):
         yield f"damping_factor_{i}", partial(_damping_factor, i - 1)
+    for loop in ("open", "closed"):
+        for i in (1, 2):
+            for j, what in enumerate(("frequency", "damping")):
+                yield f"model_{loop}_{what}_{i}", partial(_published_mode, loop, i - 1, j)
+    for i in (1, 2):
+        yield f"model_damping_factor_{i}", partial(_published_factor, i - 1)
+    yield "tuned_damping", lambda results: (results.retuned.value, nan)
+    for axis in "xy":
+        yield f"tuned_kappa_{axis}", partial(_retuned_gain, f"kappa_{axis}")
     yield "hysteresis", _hysteresis
 
 
@@ -195,6 +205,20 @@ def _obtained(loop: str, i: int, what: str, results: Results) -> Own:
 def _damping_factor(i: int, results: Results) -> Own:
     """How many times the controller makes a damping factor larger."""
     return _expected("closed", i, 1, results)[0] / _expected("open", i, 1, results)[0], nan
+
+
+def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
+    """Frequency or damping factor of a mode of the published model, with the published controller or without."""
+    plant = results.machine.plant_at(*POINT)
+    return (close_loop(plant, results.controller) if loop == "closed" else plant).modes()[i][j], nan
+
+
+def _published_factor(i: int, results: Results) -> Own:
+    return _published_mode("closed", i, 1, results)[0] / _published_mode("open", i, 1, results)[0], nan
+
+
+def _retuned_gain(name: str, results: Results) -> Own:
+    return results.retuned.gains[name], nan
 
 
 def _hysteresis(results: Results) -> Own:

@@ -6,13 +6,14 @@ from functools import cached_property
 from typing import TypeVar
 
 from gbid.characterise import PiezoCurve, StaticMap, load_static
-from gbid.control import p_controller
+from gbid.control import GainResult, p_controller, sensitivities, tune
 from gbid.control.impact_store import load_impacts
 from gbid.control.impact_study import ImpactStudy
+from gbid.control.tuned_design import TunedDesign
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.checks_static import wanted_signals
 from gbid.experiment.pairs import fit_models
-from gbid.experiment.stages import Job, fit_path, load_made_fit, standing
+from gbid.experiment.stages import Job, fit_path, load_made_fit, read_designs, standing
 from gbid.experiment.stages.characterising import static_tasks
 from gbid.experiment.stages.common import Task
 from gbid.experiment.stages.crossvalidating import read_crossval, scores_of_rows
@@ -153,6 +154,12 @@ class Results:
         return p_controller(d.kappa_x, d.kappa_y, d.lowpass_hz, d.lowpass_order)
 
     @cached_property
+    def retuned(self) -> GainResult:
+        """Gains tuned on the published model at the paper's point, under the peak of S_o that its own gains have."""
+        cap = sensitivities(self.machine.plant_at(*POINT), self.controller).peak("output").value
+        return tune(self.machine, operating_points=[POINT], peak_sensitivity=cap)
+
+    @cached_property
     def impacts(self) -> dict[tuple[float, float], dict[str, ImpactStudy]]:
         """Impact studies by operating point and loop."""
         if self.experiment.spec.impacts is None:
@@ -167,14 +174,44 @@ class Results:
 
     def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
         """Impact studies of both loops at the first operating point at rest, or with a turning shaft."""
-        try:
-            found = self.impacts
-        except UsageError as error:  # the controller or model that they need is not there
-            raise DataError(str(error)) from None
-        for (_, speed), loops in found.items():
+        for (_, speed), loops in self._there().items():
             if bool(speed) == rotating and {"open", "closed"} <= set(loops):
                 return loops
         raise DataError(f"no impacts in open and closed loop {'with a turning shaft' if rotating else 'at rest'}")
+
+    @property
+    def loops(self) -> list[dict[str, ImpactStudy]]:
+        """Impact studies of all loops by the label that a figure gives them, operating point by operating point."""
+        section = self.experiment.spec.impacts
+        paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
+        names = {"open": "open loop", "closed": paper}
+        points = [loops for loops in self._there().values() if set(loops) - set(names)]
+        if not points:
+            raise DataError("no impacts with further controllers; name some under 'beside' in section 'impacts'")
+        return [{names.get(loop, loop): study for loop, study in loops.items()} for loops in points]
+
+    def loops_at(self, rotating: bool) -> dict[str, ImpactStudy]:
+        """Those of the first operating point at rest, or with a turning shaft."""
+        for loops in self.loops:
+            if bool(next(iter(loops.values())).conditions["speed_rpm"]) == rotating:
+                return loops
+        raise DataError(f"no impacts {'with a turning shaft' if rotating else 'at rest'}")
+
+    def _there(self) -> dict[tuple[float, float], dict[str, ImpactStudy]]:
+        try:
+            return self.impacts
+        except UsageError as error:  # the controller or model that they need is not there
+            raise DataError(str(error)) from None
+
+    @cached_property
+    def designs(self) -> dict[str, TunedDesign]:
+        """Tuned designs by name, at least one."""
+        if not self.experiment.spec.controller:
+            raise DataError("no section 'controller'; add one")
+        found, missing = read_designs(self.job)
+        if not found:
+            raise DataError("; ".join(f"design {name}: {why}" for name, why in missing.items()))
+        return found
 
     def shown_fit(self) -> tuple[str, str]:
         """Fit of the bearing and model that Fig. 7 shows: of the paper's operating point, or the first."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
@@ -22,8 +24,10 @@ from gbid.report.paper.tables import TABLES, PaperTable
 
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")
+PAST = ("designs", "designs_impacts")
+"""Tables of what the paper has no figures for."""
 REPRODUCTION = "reproduction"
-_SOURCES = ("static", "fits", "crossval", "nominal", "lpv", "impacts")
+_SOURCES = ("static", "fits", "crossval", "nominal", "lpv", "impacts", "controller")
 
 
 @dataclass(frozen=True)
@@ -64,33 +68,54 @@ def write_paper(job: Job) -> tuple[list[Outcome], list[LeftOut]]:
     return outcomes, left_out
 
 
-def write_reproduction(job: Job) -> tuple[list[Outcome], list[ReproductionRow]]:
+def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     """Write ``reproduction.json``, ``.csv`` and ``.md``.
+
+    Returns
+    -------
+    list of Outcome
+    dict
+        From `reproduction_document`.
 
     Raises
     ------
     DataError
         When the machine is not the paper's.
     """
-    rows, sources = reproduction(Results(job)), _sources(job)
+    results, sources = Results(job), _sources(job)
+    rows = reproduction(results)
+    document = reproduction_document(rows, past_the_paper(results))
     writers: dict[str, Callable[[], str]] = {
-        ".json": lambda: json.dumps(reproduction_document(rows), indent=1, allow_nan=False) + "\n",
+        ".json": lambda: json.dumps(document, indent=1, allow_nan=False) + "\n",
         ".csv": lambda: _as_table(rows).csv(),
-        ".md": lambda: reproduction_markdown(reproduction_document(rows)),
+        ".md": lambda: reproduction_markdown(document),
     }
     outcomes = []
     for ending, write in writers.items():
         path = job.experiment.results / f"{REPRODUCTION}{ending}"
-        settings = {"kind": ending, "rows": [row.document() for row in rows]}
+        settings = {"kind": ending, "document": document}
         key = content_key(REPRODUCTION, settings, sources)
         text = partial(_with_key, write, ending, key)
         outcomes.append(produce(job, REPRODUCTION, f"{REPRODUCTION}{ending}", path, key, partial(_write_text, text)))
-    return outcomes, rows
+    return outcomes, document
 
 
-def reproduction_document(rows: list[ReproductionRow]) -> dict[str, object]:
-    """All rows as plain values, and how many have which verdict."""
-    return {"counts": dict(counts(rows)), "rows": [row.document() for row in rows]}
+def past_the_paper(results: Results) -> list[PaperTable]:
+    """Tables of what the paper has no figures for, as far as the results allow: tuned designs, on paper and hit."""
+    found = []
+    for name in PAST:
+        with suppress(DataError):
+            found.append(TABLES[name](results))
+    return found
+
+
+def reproduction_document(rows: list[ReproductionRow], past: Sequence[PaperTable] = ()) -> dict[str, Any]:
+    """All rows as plain values, how many have which verdict, and tables of what the paper has no figures for."""
+    return {
+        "counts": dict(counts(rows)),
+        "rows": [row.document() for row in rows],
+        "past_the_paper": [table.document() for table in past],
+    }
 
 
 def _as_table(rows: list[ReproductionRow]) -> PaperTable:

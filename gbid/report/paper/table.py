@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from rich.console import Group
+from rich.markup import escape
+from rich.table import Table
 from rich.text import Text
 
 from gbid.report.numbers import engineering
@@ -20,6 +22,7 @@ _COUNTED = {
     "off": "off without an explanation",
     "missing": "missing",
 }
+_DIGITS = 3
 _WORDS = {"within": "within", "explained": "see", "off": "OFF", "missing": "missing"}
 
 
@@ -37,7 +40,15 @@ def reproduction_table(document: Mapping[str, Any]) -> Group:
     for row in rows:
         table.add_row(*row)
     notes = [Text(f"{i}: {reason}") for i, reason in enumerate(reasons, 1)]
-    return Group(table, Text(""), Text(_total(document)), Text(_LEGEND), *notes, Text(""))
+    parts: list[Table | Text] = [table, Text(""), Text(_total(document)), Text(_LEGEND), *notes, Text("")]
+    for past in document.get("past_the_paper", ()):
+        words = [i for i, cell in enumerate(past["rows"][0]) if isinstance(cell, str)]
+        heads = [escape(column).replace(" ", "\n") for column in past["columns"]]
+        extra = new_table(past["title"], heads, left=[heads[i] for i in words])
+        for row in past["rows"]:
+            extra.add_row(*(escape(cell) if isinstance(cell, str) else _cell(cell, _DIGITS) for cell in row))
+        parts += [extra, Text("")]
+    return Group(*parts)
 
 
 def reproduction_markdown(document: Mapping[str, Any]) -> str:
@@ -52,7 +63,15 @@ def reproduction_markdown(document: Mapping[str, Any]) -> str:
     lines = [_HEADS, tuple("---" if h in _WORDED else "---:" for h in _HEADS), *rows]
     table = "\n".join("| " + " | ".join(line) + " |" for line in lines)
     notes = "\n".join(f"{i}. {reason}" for i, reason in enumerate(reasons, 1))
-    return f"{table}\n\n{_total(document)}. {_LEGEND}.\n\n{notes}\n"
+    past = "".join(f"\n{_past_markdown(found)}" for found in document.get("past_the_paper", ()))
+    return f"{table}\n\n{_total(document)}. {_LEGEND}.\n\n{notes}\n{past}"
+
+
+def _past_markdown(past: Mapping[str, Any]) -> str:
+    ruler = ("---" if isinstance(cell, str) else "---:" for cell in past["rows"][0])
+    cells = ((cell if isinstance(cell, str) else _cell(cell, _DIGITS) for cell in row) for row in past["rows"])
+    lines = "\n".join("| " + " | ".join(line) + " |" for line in (past["columns"], ruler, *cells))
+    return f"**{past['title']}**\n\n{lines}\n"
 
 
 def _laid_out(document: Mapping[str, Any]) -> tuple[list[tuple[str, ...]], list[str]]:

@@ -10,8 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from gbid.control.impact_store import response_rows
 from gbid.errors import DataError
 from gbid.lpv import TERMS
+from gbid.report.canvas import at_point
+from gbid.report.designs import design_rows, design_worths
 from gbid.report.numbers import engineering
 from gbid.report.paper.results import Results
 from gbid.structure import KEY_PARAMETERS
@@ -37,6 +40,10 @@ class PaperTable:
     title: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {"title": self.title, "columns": list(self.columns), "rows": [list(row) for row in self.rows]}
 
     def csv(self) -> str:
         """Write it as csv, numbers in full."""
@@ -107,6 +114,33 @@ def coefficient_table(results: Results) -> PaperTable:
     return PaperTable("Table B.6: coefficients of the surfaces, per kg", columns, tuple(rows))
 
 
+def designs_table(results: Results) -> PaperTable:
+    """Put the tuned designs beside the published one, each at its worst operating point."""
+    worths = design_worths(results.designs)
+    title = f"Designs at the worst of {len(worths[0].points)} operating points"
+    rows: list[tuple[Cell, ...]] = [(row[0], *map(float, row[1:])) for row in design_rows(worths)]
+    return PaperTable(title, ("figure", *(worth.name for worth in worths)), tuple(rows))
+
+
+def blows_table(results: Results) -> PaperTable:
+    """Give what the same blow does in each loop, measured and simulated."""
+    shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
+    heads = [f"{what}{word} [{unit}]" for what, unit, *_ in shown for word in ("", " std", " simulated")]
+    rows: list[tuple[Cell, ...]] = []
+    for loops in results.loops:
+        for label, study in loops.items():
+            where = at_point(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+            for row in response_rows(study):
+                numbers = (
+                    factor * row[f"{name}{suffix} [{unit}]"]
+                    for *_, name, unit, factor in shown
+                    for suffix in ("", "_std", "_simulated")
+                )
+                rows.append((where, label, row["axis"], *numbers))
+    title = "The same blow in each loop on the rig: disc up to, over after (95 % of the energy), piezo up to"
+    return PaperTable(title, ("where", "loop", "axis", *heads), tuple(rows))
+
+
 def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
     loops = results.impacts_at(False)
     point = next(iter(loops.values())).conditions
@@ -149,5 +183,7 @@ TABLES: dict[str, Callable[[Results], PaperTable]] = {
     "table4_damping_factors": damping_table,
     "tableA5_piezo_controllers": controller_table,
     "tableB6_coefficients": coefficient_table,
+    "designs": designs_table,
+    "designs_impacts": blows_table,
 }
 """Tables by name. Each raises `DataError` when its results are not there."""

@@ -1,0 +1,103 @@
+"""Gradient of the Lagrangian alone, by the adjoint: a small part of the work of a pass with sensitivities.
+
+With ``w`` the weighted errors and ``a[k]`` the derivative of the cost by the state at sample k, the adjoint runs
+backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers of the gaps at the end of a window. Derivatives by
+the entries of F, G, C and H are sums of its products with states and regressors.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.blocks import Blocks
+from gbid.identify.predictor import PredictorValues
+from gbid.identify.shooting import Part, Shooting, spectral_radius
+from gbid.identify.sweep import from_starts, powers_of, scan
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
+    """Gradient of ``cost + lam_gaps' gaps``, as `Shooting.lagrangian_gradient` has it from a pass.
+
+    Parameters
+    ----------
+    problem : Shooting
+    unknowns : (n_unknowns,) array
+        Scaled.
+    lam_gaps : (n_gaps,) array
+
+    Returns
+    -------
+    (n_unknowns,) array
+        NaN where the problem has no value.
+    """
+    theta, starts = problem.unpack(unknowns)
+    nothing = np.full(problem.n_unknowns, np.nan)
+    if not all(part.within_bounds(theta) for part in problem.parts):
+        return nothing
+    values = problem.values(theta)
+    if problem.stable_only and problem.noise and spectral_radius(values) > 1:
+        return nothing
+    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
+    made = [
+        from_starts(v, part.blocks, starts[own], part.engine)
+        for v, part, own in zip(values, problem.parts, windows, strict=True)
+    ]
+    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", p.errors, p.errors, optimize=True) for p in made))
+    if not np.isfinite(products).all():
+        return nothing
+    weight = problem.weight(products)
+    lam = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    last = np.zeros_like(starts)
+    last[problem.links[:, 0]] = lam
+    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean)
+    by_start = []
+    for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
+        sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, last[own])
+        by_own = _by_parameters(v, sums)
+        by_theta[part.index] += by_own if part.tie is None else part.tie.T @ by_own
+        by_start.append(start)
+    starts_gradient = np.concatenate(by_start)
+    starts_gradient[problem.links[:, 1]] -= lam
+    return np.concatenate([by_theta * problem.theta_scale, (starts_gradient * problem.state_scale).ravel()])
+
+
+def _of_part(
+    v: PredictorValues, part: Part, weighted: FloatArray, states: FloatArray, last: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives by the entries of ``[F G; C H]`` and by the windows' starts, (n_windows, n)."""
+    blocks, n = part.blocks, len(v.F)
+    at_end = np.zeros((n, len(blocks.size)))
+    at_end[:, blocks.window_first + blocks.window_size - 1] = last.T
+    at_start, sums = part.engine.adjoint(v, blocks, weighted, states, at_end)
+    if blocks.per_window > 1:
+        at_start = _back_along_windows(blocks, at_start, powers_of(v.F, blocks.length)[-1])
+        followed = np.setdiff1d(np.arange(blocks.n_blocks), blocks.window_first) - 1
+        at_end[:, followed] = at_start[:, followed + 1]
+        _, sums = part.engine.adjoint(v, blocks, weighted, states, at_end)
+    return sums, at_start[:, blocks.window_first].T
+
+
+def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:
+    """Adjoint at the start of every block, (n, W), from what each block makes of its own errors."""
+    backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
+    inside = backwards >= 0
+    blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)
+    result = np.zeros_like(own)
+    result[:, blocks_of[inside]] = scan(transition.T, own[:, blocks_of][..., None])[:, inside, 0]
+    return result
+
+
+def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
+    """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
+    n = len(v.F)
+    return np.asarray(
+        np.tensordot(v.dF, sums[:n, :n], 2)
+        + np.tensordot(v.dG, sums[:n, n:], 2)
+        + np.tensordot(v.dC, sums[n:, :n], 2)
+        + np.tensordot(v.dH, sums[n:, n:], 2)
+    )

@@ -1,0 +1,88 @@
+"""Section on the static characterisation: the map from piezos to disc, and the hysteresis of the stacks."""
+
+from __future__ import annotations
+
+from gbid.characterise import PiezoCurve, StaticMap
+from gbid.errors import DataError, UsageError
+from gbid.report.canvas import at_point
+from gbid.report.html.gather import Gathered
+from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
+from gbid.report.html.pictures import Pictures
+from gbid.report.numbers import engineering
+from gbid.report.of_results import piezo_data, static_map_data
+from gbid.report.paper.results import Results
+from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
+from gbid.report.static_map import plot_static_map
+from gbid.report.static_tables import static_document
+
+_MICROMETRES = 1e6
+
+
+def static_section(gathered: Gathered, pictures: Pictures) -> Section | None:
+    """Show the first static map and all piezos; None when the experiment asks for none."""
+    kinds = [section.kind for section in gathered.experiment.spec.static.values()]
+    if not kinds:
+        return None
+    results = Results(gathered.job)
+    blocks: list[Block] = []
+    for kind, show in (("bearing", _map), ("piezo", _piezos)):
+        if kind in kinds:
+            try:
+                blocks += show(results, pictures)
+            except (DataError, UsageError) as error:
+                blocks.append(Words(str(error), "warn"))
+    return Section("static", "Static characterisation", blocks)
+
+
+def _map(results: Results, pictures: Pictures) -> list[Block]:
+    found: StaticMap = results.static_map
+    known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
+    place = at_point(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
+    rows = [
+        (
+            f"{row['input']} to {row['output']}",
+            *(
+                engineering(row[key], digits) if row[key] is not None else "–"
+                for key, digits in (("gain", 4), ("std", 2))
+            ),
+            *(
+                engineering(_MICROMETRES * row[key], 3) if row[key] is not None else "–"
+                for key in ("rms", "largest", "hysteresis")
+            ),
+        )
+        for row in static_document("", found)["gains"]
+    ]
+    columns = ("static gain", "value", "std", "rms off linear [µm]", "largest [µm]", "hysteresis [µm]")
+    alt = f"Steady disc position over piezo position {place}: rising and falling plateaus with a straight line"
+    blocks: list[Block] = [
+        Shown(pictures.picture(plot_static_map(static_map_data(found), title=place), alt)),
+        Table(f"From piezo to disc, {len(found.command)} plateaus, {place}", columns, rows),
+    ]
+    return [*blocks, Listed(found.notes)] if found.notes else blocks
+
+
+def _piezos(results: Results, pictures: Pictures) -> list[Block]:
+    found = results.piezos
+    data = [piezo_data(*parts) for parts in found]
+    curves: list[PiezoCurve] = [curve for curve, *_ in found]
+    said = ", ".join(f"{_MICROMETRES * c.hysteresis:.2f} µm {_how(c)}" for c in curves)
+    rows = [
+        (
+            f"{curve.channel}, {_how(curve)}",
+            f"{_MICROMETRES * curve.hysteresis:.3f} ± {_MICROMETRES * curve.hysteresis_std:.1g}",
+            f"{100 * curve.hysteresis_share:.2f}",
+            f"{100 * curve.uniformity:.2f}",
+        )
+        for curve in curves
+    ]
+    columns = ("piezo", "hysteresis [µm]", "of its range [%]", "steps not alike by [%]")
+    over_time = pictures.picture(plot_piezo_staircase(data), "Staircase of the piezo over time")
+    return [
+        Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {said}")),
+        Table("Staircases of a piezo", columns, rows),
+        Fold("Staircases over time", [Shown(over_time)]),
+    ]
+
+
+def _how(curve: PiezoCurve) -> str:
+    return "in open loop" if curve.units[0] == "V" else "with its controller"

@@ -1,0 +1,183 @@
+"""Tuned designs in figures, tables, the reproduction and the report: beside the published one, faults on top."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from experiment_files import gbid as command
+from experiment_files import write_quick
+
+import gbid
+from gbid import report
+from gbid.control.tuned_design import load_tuned
+from gbid.errors import DataError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.stages import Job
+from gbid.report.designs import comparable_designs
+from gbid.report.html import write_report
+from gbid.report.html.tuned_blocks import held_back
+from gbid.report.paper.results import Results
+from gbid.report.paper.table import reproduction_markdown
+from gbid.report.paper.tables import TABLES
+
+YAML = """\
+format: 1
+name: designs
+rig:
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+controller:
+  feedback: {peak_sensitivity: 2.0, pareto: [1.6, 2.6], operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
+  held: {bounds: {kappa_x: [0, 0.3]}, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
+  elsewhere: {operating_points: [{pressure_bar: 7, speed_rpm: 0}]}
+impacts:
+  beside: {tuned: "tuned:feedback"}
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  repeats: 2
+  spacing_s: 0.25
+"""
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    path = write_quick(tmp_path_factory.mktemp("designs"), text=YAML)
+    for verb in ("tune", "impact"):
+        assert command(verb, path) == 0
+    return path
+
+
+@pytest.fixture(scope="module")
+def results(made):
+    return Results(Job(load_experiment(made)))
+
+
+@pytest.fixture(scope="module")
+def page(made):
+    job = Job(load_experiment(made))
+    return write_report(job).path.read_text(encoding="utf-8")
+
+
+def test_front_has_the_design_and_those_under_other_caps(results) -> None:
+    data = report.designs_pareto_data(results.designs)
+    assert set(data.peak_sensitivity) == {"P", "held"}  # the third was tuned for another point
+    np.testing.assert_allclose(data.peak_sensitivity["P"], [1.6, 2.0, 2.6], rtol=1e-6)
+    assert (np.diff(data.damping["P"]) > 0).all()
+    model, (peak, damping) = gbid.load_model("theisen2016"), data.designs["published"]
+    controller = gbid.control.p_controller(1.125, 0.99)
+    assert peak == pytest.approx(gbid.sensitivities(model.plant_at(6, 0), controller).peak("output").value)
+    assert damping == pytest.approx(0.318, abs=5e-4)
+    with pytest.raises(DataError, match="gbid tune"):
+        report.designs_pareto_data({})
+
+
+def test_only_designs_on_the_same_terms_are_compared(results) -> None:
+    designs = results.designs
+    assert list(comparable_designs(designs)) == ["feedback", "held"]
+    decay = replace(designs["held"], result=replace(designs["held"].result, objective="decay"))
+    assert list(comparable_designs({**designs, "held": decay})) == ["feedback"]
+
+
+def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
+    table = TABLES["designs"](results)
+    assert table.columns == ("figure", "feedback", "held", "published")
+    stored = load_tuned(made.parent / "results" / "designs" / "controller" / "feedback.h5")
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert rows["smallest damping"][0] == pytest.approx(stored.worth[0].worst["damping"][0], abs=5e-4)
+    assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.worth[1].worst["stack_travel_m"][0], abs=5e-3)
+
+
+def test_blows_of_each_loop_stand_beside(results) -> None:
+    loops = results.loops_at(False)
+    assert list(loops) == ["open loop", "published gains", "tuned"]
+    with pytest.raises(DataError, match="no impacts with a turning shaft"):
+        results.loops_at(True)
+    table = TABLES["designs_impacts"](results)
+    assert [row[1:3] for row in table.rows] == [(label, axis) for label in loops for axis in "xy"]
+    column = table.columns.index("disc [um]")
+    assert table.rows[0][column] == pytest.approx(1e6 * loops["open loop"].figures[0].peak_m)
+
+
+def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) -> None:
+    capsys.readouterr()
+    assert command("reproduce", made, "--json") == 0
+    document = json.loads(capsys.readouterr().out)
+    titles = [table["title"] for table in document["past_the_paper"]]
+    assert [title.split(" ")[0] for title in titles] == ["Designs", "The"]
+    assert command("reproduce", made) == 0
+    out = capsys.readouterr().out
+    assert "stack [um]" in out
+    text = reproduction_markdown(document)
+    for table in document["past_the_paper"]:
+        lines = text[text.index(table["title"]) :].split("\n\n")[1].splitlines()
+        assert len({line.count("|") for line in lines}) == 1
+        assert len(lines) == 2 + len(table["rows"])
+    old = {key: value for key, value in document.items() if key != "past_the_paper"}
+    assert "Designs" not in reproduction_markdown(old)  # a file of an earlier gbid
+
+
+def test_report_shows_designs_front_and_loops(page) -> None:
+    for words in (
+        "What the tuning found",
+        "held back by",
+        "Smallest damping factor over the peak of the output sensitivity: P 0.",
+        "Pictures of feedback",
+        "after the same blow along x and along y: open loop, published gains, tuned",
+        "disc up to [µm]",
+    ):
+        assert words in page, words
+    assert len(page) < 10e6
+
+
+def test_faults_of_designs_stand_on_top(page, results) -> None:
+    held = results.designs["held"]
+    assert held_back(held) == ["held back by kappa_x at its upper bound; wider bounds may damp more"]
+    top = page[page.index('id="summary"') : page.index('id="controller"')]
+    assert "controller held: held back by kappa_x at its upper bound" in top
+    assert not re.search("controller feedback: (held|peak)", top)  # 2.0, well below the cap
+    lost = replace(held, result=replace(held.result, success=False, status="limits contradict", violation=0.1))
+    assert held_back(lost)[0] == "limits contradict, limits exceeded by 10 %"
+
+
+def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> None:
+    other = write_quick(tmp_path, ("peak_sensitivity: 2.0", "peak_sensitivity: 1.9"), text=YAML)
+    found = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).designs
+    assert list(found) == ["held", "elsewhere"]
+    with pytest.raises(DataError, match="design feedback: not made yet; `gbid tune` makes it"):
+        assert Results(Job(load_experiment(other, tmp_path / "out"))).designs
+
+
+STAIRS = """\
+format: 1
+name: stairs
+rig:
+  seed: 3
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  duration_s: 0.5
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+  actuators: {kind: stacks}
+  staircase: {hold_s: 0.2}
+  stack_staircase: {hold_s: 0.2, controlled: [false]}
+static:
+  film: {recordings: "p6_n0_stairs_*", keep: 0.4}
+  stack4: {recordings: "p6_n0_stack4_open1", kind: piezo, command: v, position: y_p, channel: "4"}
+"""
+
+
+def test_report_shows_the_static_characterisation(tmp_path) -> None:
+    path = write_quick(tmp_path, text=STAIRS)
+    early = write_report(Job(load_experiment(path)))
+    assert "static film not there; run `gbid static`" in early.path.read_text(encoding="utf-8")
+    for verb in ("rig", "static"):
+        assert command(verb, path) == 0
+    page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
+    section = page[page.index('id="static"') : page.index('id="fits"')]
+    results = Results(Job(load_experiment(path)))
+    assert f"{results.static_map.gain[0, 0]:.4f}" in section
+    assert f"{1e6 * results.piezos[0][0].hysteresis:.2f} µm in open loop" in section
+    assert section.count("<svg") == 3
