@@ -139,7 +139,7 @@ def run_engine(experiment: Experiment, engine: str, workers: int) -> dict[str, f
     for old in (experiment.results / "fits").rglob("*.h5"):
         old.unlink()
     meter = Meter(len(experiment.recordings))
-    with working(experiment, engine=engine, workers=workers, reporter=meter) as job:
+    with working(experiment, engine=engine, workers=None if engine == "serial" else workers, reporter=meter) as job:
         meter.processes = _processes(job.engine)
         outcomes = run_campaign(job)
         before = time.process_time()

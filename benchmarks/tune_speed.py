@@ -81,7 +81,13 @@ def measure(quick: bool, polish: int) -> dict[str, Any]:
 
 
 def tune_table(run: dict[str, Any]) -> str:
-    """The numbers as Markdown."""
+    """All numbers as Markdown."""
+    where = f"{run['processor']}, {run['date']}, gbid {run['gbid']}."
+    return "\n\n".join([proportional_table(run), biquad_table(run), where])
+
+
+def proportional_table(run: dict[str, Any]) -> str:
+    """Two P gains beside brute force."""
     lines = [
         "| P gains: points | cap | tune [CPU s] | brute force [CPU s] | ratio | damping | of brute force |",
         "|---|---|---|---|---|---|---|",
@@ -92,13 +98,18 @@ def tune_table(run: dict[str, Any]) -> str:
             f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.2f} | {row['brute_cpu_s']:.1f} | {ratio:.0f} | "
             f"{row['damping']:.6f} | {row['brute_damping']:.6f} |"
         )
-    lines += ["", "| biquad: points | cap | tune [CPU s] | damping | of P gains | ratio |", "|---|---|---|---|---|---|"]
+    return "\n".join(lines)
+
+
+def biquad_table(run: dict[str, Any]) -> str:
+    """A second-order filter per axis beside P gains."""
+    lines = ["| biquad: points | cap | tune [CPU s] | damping | of P gains | ratio |", "|---|---|---|---|---|---|"]
     for row in run["biquad"]:
         lines.append(
             f"| {row['n_points']} | {_cap(row)} | {row['cpu_s']:.1f} | {row['damping']:.4f} | "
             f"{row['p_damping']:.4f} | {row['damping'] / row['p_damping']:.2f} |"
         )
-    return "\n".join([*lines, "", f"{run['processor']}, {run['date']}, gbid {run['gbid']}."])
+    return "\n".join(lines)
 
 
 def _cap(row: dict[str, Any]) -> str:

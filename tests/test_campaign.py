@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
@@ -27,7 +28,7 @@ from gbid.campaign.run import run_campaign, working
 from gbid.campaign.shard import Shard, read_shard, tasks_of
 from gbid.errors import NoSpaceError, UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import InTurn, Job, fit_tasks, import_tasks, run_tasks
+from gbid.experiment.stages import InTurn, Job, fit_tasks, import_tasks, rig_tasks, run_tasks
 from gbid.experiment.stages.failures import remembered_failure
 from gbid.identify import load_fit
 
@@ -266,7 +267,8 @@ subprocess.run(["mount", "-t", "tmpfs", "-o", "size=360k", "tmpfs", disk], check
 told = []
 for size in ("size=360k", "size=20m"):
     subprocess.run(["mount", "-o", f"remount,{size}", disk], check=True)
-    process = batch(experiment, "--engine", engine, "--workers", "2", "--results", disk / "results")
+    workers = [] if engine == "serial" else ["--workers", "2"]
+    process = batch(experiment, "--engine", engine, *workers, "--results", disk / "results")
     _, err = process.communicate()
     told.append([process.returncode, err, stamps(disk / "results"), [str(p) for p in left_over(disk)]])
 print(json.dumps({"told": told, "rows": rows_of(disk / "results" / "table.csv")}))
@@ -284,8 +286,8 @@ def may_mount():
 @pytest.mark.parametrize(
     "engine",
     [
-        pytest.param("serial", marks=pytest.mark.slow),
-        "pool",
+        "serial",
+        pytest.param("pool", marks=pytest.mark.slow),
         pytest.param("dask", marks=[pytest.mark.slow, files.NEEDS_DASK]),
     ],
 )
@@ -328,6 +330,21 @@ def test_shards_share_the_work(tmp_path):
     parts = [tasks_of(Shard(i, 2), job.experiment, fit_tasks(job)) for i in (1, 2)]
     assert sorted(t.item for part in parts for t in part) == sorted(t.item for t in fit_tasks(job))
     assert all(len(part) == 2 for part in parts)
+
+
+def test_shards_share_staircases_but_not_stationary_recordings(tmp_path):
+    from experiment_files import write_quick
+
+    stairs = ("  prbs:", "  staircase: {steps: 2, hold_s: 0.1}\n  prbs:")
+    job = Job(load_experiment(write_quick(tmp_path, stairs)))
+    tasks, count = rig_tasks(job), 3
+    parts = [tasks_of(Shard(i, count), job.experiment, tasks) for i in range(1, count + 1)]
+    made = Counter(t.item for part in parts for t in part)
+    assert set(made) == {t.item for t in tasks}
+    planned = job.experiment.recordings
+    assert {planned[name].kind for name in made} == {"excited", "stationary", "staircase"}
+    for name, times in made.items():
+        assert times == 1 or planned[name].stationary
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0"])
@@ -450,13 +467,15 @@ def test_engines_by_name():
     assert isinstance(make_engine("serial"), InTurn)
     with contextlib.closing(make_engine("auto", 3)) as engine:
         assert isinstance(engine, Auto)
-    for arguments in (("serail",), ("pool", 0), ("serial", None, "tcp://a:1"), ("dask", 2, "tcp://a:1")):
+    for arguments in (("serail",), ("pool", 0), ("serial", 2), ("serial", None, "tcp://a:1"), ("dask", 2, "tcp://a:1")):
         with pytest.raises(UsageError):
             make_engine(*arguments)
 
 
 def test_options_that_do_not_go_together(fresh, capsys):
     assert gbid("batch", fresh, "--collect", "--retry") == 2
+    assert gbid("batch", fresh, "--collect", "--workers", "2") == 2
+    assert gbid("batch", fresh, "--engine", "serial", "--workers", "2") == 2
     assert gbid("batch", fresh, "--shard", "5/4") == 2
     assert gbid("batch", fresh, "--engine", "threads") == 2
     assert "choose auto, serial, pool, dask" in capsys.readouterr().err

@@ -18,7 +18,8 @@ from gbid.errors import GbidError, NoSpaceError, UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job, run_tasks
 
-WorkerPlugin = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])").WorkerPlugin
+distributed = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])")
+WorkerPlugin, CommClosedError = distributed.WorkerPlugin, distributed.comm.CommClosedError
 FOLDER = str(Path(files.__file__).parent)
 pytestmark = [pytest.mark.filterwarnings("ignore:.*:ResourceWarning"), pytest.mark.filterwarnings("ignore:unclosed")]
 
@@ -138,3 +139,17 @@ def test_workers_that_die_before_they_have_begun(deaths, monkeypatch):
         with pytest.raises(GbidError, match=r"cannot start \(Nanny failed to start\.\); try --engine pool"):
             make_engine("dask", 2)
     assert started == [2] * min(deaths + 1, ATTEMPTS)
+
+
+def test_a_scheduler_that_is_lost(engine, tmp_path, monkeypatch):
+    class Lost:
+        def add(self, future):
+            pass
+
+        def __iter__(self):
+            raise CommClosedError("the stream\nis closed")
+
+    monkeypatch.setattr("distributed.as_completed", Lost)
+    job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
+    with pytest.raises(UsageError, match=r"scheduler was lost \(the stream is closed\); start it and run again"):
+        run_tasks(job, [task(tmp_path, "a", files.write_number)])

@@ -66,7 +66,7 @@ def test_coloured_errors_converge_at_the_first_window_to_a_minimum(effect):
 def test_the_paper_gain_is_biased_by_process_noise_and_the_full_height_is_not(fits):
     assert fits["full"].success
     assert fits["states"].success
-    assert np.abs(off(fits["full"])).max() > 4
+    assert np.nanmax(np.abs(off(fits["full"]))) > 4  # what lies on a bound has no deviation
     assert np.abs(off(fits["states"])).max() < 3
     assert fits["states"].loss < 0.1 * fits["full"].loss
 

@@ -166,6 +166,28 @@ def test_shapes_of_windows(case, shape, fresh, cache):
     assert_same_sums(a, b)
 
 
+@needs_compiler
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("case", ["every", "one output", "plant"])
+def test_the_compiled_adjoint_is_the_numpy_one(case, shape, fresh, cache):
+    fresh.setenv("GBID_CACHE_DIR", str(cache))
+    predictor, theta, blocks, _, weight = problem(case, *SHAPES[shape])
+    v = predictor.at(theta)
+    engine = CompiledEngine([v])
+    random = np.random.default_rng(8)
+    starts, last = random.normal(size=(2, len(v.F), len(blocks.size)))
+    found, expected = (run.predict(v, blocks, starts) for run in (engine, run_with_numpy))
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
+    last[:, blocks.size == 0] = 0
+    for a, b in zip(
+        engine.adjoint(v, blocks, weight @ found.errors, found.states, last),
+        run_with_numpy.adjoint(v, blocks, weight @ found.errors, found.states, last),
+        strict=True,
+    ):
+        np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
+
+
 def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):
     predictor, theta, blocks, starts, weight = problem("every", (900, 133), 10)
     v = predictor.at(theta)

@@ -101,6 +101,13 @@ LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
         ("20e-3", "20.05e-3", "hold_s: 20.05e-3", ["rig.prbs.hold_s", "whole number of samples"]),
         ("{recordings: 1}", "{recordings: 0}", "prefilter:", ["no stationary recording at p5_n6000"]),
         ("harmonics: 6", "median: 4", "median: 4", ["4 is even"]),
+        (
+            "4.5e-6",
+            "4.5",
+            "amplitude_m: 4.5",
+            ["rig.prbs.amplitude_m", "4.5 m is more than the clearance", "2.5e-05 m"],
+        ),
+        ("30e-9", "[30e-9, 30e-6]", "noise_p_m: [30e-9", ["rig.sensors.noise_p_m", "3e-05 m is more than the clear"]),
         ("piezo_pair", "piezo_pairs", "structure: piezo_pairs", ["did you mean 'piezo_pair'", "file.py:name"]),
         ("piezo_pair}", "piezo_pair, options: {pade_order: 2}}", "options: {pade", ["no option pade_order"]),
         ("stop: paper", "start: {k_x: 1}", "k_x: 1", ["fits.bearing.start.k_x", "did you mean 'k_yx'"]),
@@ -187,6 +194,34 @@ def test_faults_of_yaml_have_positions(tmp_path):
     assert int(line.split(":")[0]) >= 4
     (line,) = problems_of(write_quick(tmp_path, ("  seed", "\tseed")))
     assert line.startswith("4:1: ")
+
+
+def test_each_mistake_is_one_line(tmp_path):
+    """A point twice is not seven recordings twice; an entry that is wrong is not also a list too short."""
+    head, points = (
+        "format: 1\nname: twice\nrig:\n",
+        "[{pressure_bar: 5, speed_rpm: 0}, {pressure_bar: 5.0, speed_rpm: 0}]",
+    )
+    path = tmp_path / "experiment.yaml"
+    path.write_text(f"{head}  operating_points: {points}\n  prbs: {{recordings: 6}}\n")
+    (line,) = problems_of(path)
+    assert "rig.operating_points[1]: the same operating point as operating_points[0]; delete one" in line
+    stacks = "  actuators: {kind: stacks}\n  stack_staircase: {stacks: [5]}\n"
+    path.write_text(f"{head}  operating_points: [{{pressure_bar: 5, speed_rpm: 0}}]\n{stacks}")
+    (line,) = problems_of(path)
+    assert "rig.stack_staircase.stacks[0]: must be at most 4, found 5" in line
+
+
+def test_a_long_list_of_what_there_is_ends_early(tmp_path):
+    points = ", ".join(f"{{pressure_bar: {p}, speed_rpm: 0}}" for p in (3, 4, 5, 6, 7))
+    path = tmp_path / "experiment.yaml"
+    path.write_text(
+        f"format: 1\nname: many\nrig:\n  operating_points: [{points}]\n  prbs: {{recordings: 7}}\n"
+        "fits: {bearing: {structure: rotor_bearing}}\ncrossval: {bearing: {on: other}}\n"
+    )
+    (line,) = problems_of(path)
+    assert "no recording matches 'other'; did you mean 'others'? there is cyclic, others, point, p3_n0_still1" in line
+    assert line.endswith(" and 35 more")
 
 
 def test_missing_file_is_wrong_usage(tmp_path):

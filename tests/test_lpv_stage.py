@@ -82,7 +82,12 @@ def test_table_stands_beside_the_papers(campaign):
         ("{fit: bearings}", ("lpv.fit", "no fit of this name", "bearing")),
         ("{fit: piezos}", ("lpv.fit", "has no parameters k_xx")),
         ("{fit: bearing}", ("lpv.order", "4 operating points for 6 terms")),
-        ("{fit: bearing, order: 3}", ("lpv.order",)),
+        (
+            "{fit: bearing, order: 3}",
+            ('lpv.order: expected 0, 1, 2, auto, or a list of terms out of "1", "P"', "found 3"),
+        ),
+        ("{fit: bearing, order: [P, Q]}", ("lpv.order: expected 0, 1, 2, auto", "found ['P', 'Q']")),
+        ("{fit: bearing, order: 1, actuators: nominel}", ("lpv.actuators: expected nominal", "theisen2016")),
         ("{fit: bearing, order: 1, actuators: nominal}", ("lpv.actuators", "no section 'nominal'")),
         ("{fit: bearing, order: 1, weighting: fits, robust: true}", ("lpv.robust", "needs weighting")),
         ("{fit: bearing, order: 1, colour: red}", ("lpv.colour",)),

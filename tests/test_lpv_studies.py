@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_rig import CAMPAIGN, PAPER, POINTS
+from study_rig import CAMPAIGN, PAPER, POINTS, machine_at
 from test_lpv_direct import EXACT, FIXED, recorded
 
 import gbid
-from gbid.structure import KEY_PARAMETERS
+from gbid.rig import Prbs, Scatter, Stationary, record
+from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
 
 pytestmark = pytest.mark.slow
 
@@ -41,7 +42,7 @@ def held_out_percent(fit, results, recordings):
         (0.0, 30e-9, "simulation", 1.1),
         (0.01, 30e-9, "simulation", 1.05),
         (0.01, 300e-9, "simulation", 1.05),
-        (0.005, 300e-9, "prediction", 0.85),  # one in four single fits does not converge
+        (0.005, 300e-9, "prediction", 0.95),  # single fits are poor
     ],
 )
 def test_campaign_recovers_the_truth(scatter, noise, focus, at_most):
@@ -73,3 +74,26 @@ def test_campaign_recovers_the_truth(scatter, noise, focus, at_most):
     print("one-shot over two-step:", ratio.round(2), f"geometric mean {np.exp(np.log(ratio).mean()):.3f}")
     assert percent["one"] > percent["two"] - 0.1
     assert np.exp(np.log(ratio).mean()) < at_most
+
+
+def test_campaign_of_full_length_recovers_the_truth():
+    """86 recordings of 5 s in the noise of the paper's campaign, run-out and unbalance filtered, scatter as there."""
+    plant = Plant(RotorBearing(delay="exact", disturbance_gain="none"))
+    scatter, fits = Scatter(share=0.35), []
+    maps = {}
+    for point, i in CAMPAIGN:
+        made = machine_at(*point, noise=0.65e-6)
+        how = {"conditions": dict(zip(("pressure_bar", "speed_rpm"), point, strict=True)), "seed": 2016}
+        if point not in maps:
+            maps[point] = gbid.identify_runout([record(made, Stationary(5.0), name=f"still {point}", **how)])
+        raw = record(made, Prbs(5.0), name=f"{point} {i}", scatter=scatter, **how)
+        fits.append(gbid.fit(plant, gbid.prefilter(raw, maps[point], median=1)[0], offsets=True))
+    assert all(f.success for f in fits)
+    two = gbid.fit_lpv(fits, [point for point, _ in CAMPAIGN], actuators=FIXED)
+    _, z = errors(two)
+    share = dict(zip(KEY_PARAMETERS, (np.abs(z) < 3).mean(axis=0).round(3).tolist(), strict=True))
+    print("within 3 std:", share, f"z {z.std():.2f}")
+    # The errors of one campaign are smooth surfaces: where one is off, it is off over a region.
+    assert np.mean(list(share.values())) > 0.95
+    assert min(share.values()) > 0.7
+    assert z.std() < 1.3

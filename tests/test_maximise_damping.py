@@ -12,6 +12,7 @@ from gbid.control.closed_matrices import families_of, loop_equations
 from gbid.control.limits import Limits
 from gbid.control.peaks import find_peaks, peak_slopes
 from gbid.control.pieces import Problem
+from gbid.control.polish import merit, polish
 from gbid.control.spectrum import Eigensystem, pair_of
 
 
@@ -216,6 +217,17 @@ def test_peaks_are_the_exact_norms() -> None:
         exact = gbid.sensitivities(model.plant_at(*point), controller).peak("output")
         assert peaks.value[peaks.loop == i].max() == pytest.approx(exact.value, rel=1e-7)
     assert peak_slopes(derivatives, slice(0, 2), peaks)[1] == pytest.approx(peaks.value, rel=1e-9)
+
+
+def test_a_climb_never_ends_below_its_start() -> None:
+    problem, x = paper_problem("biquad")
+    rng = np.random.default_rng(5)
+    for _ in range(4):
+        start = x + 0.05 * rng.standard_normal(len(x))
+        first = polish(problem, start, max_iterations=10)
+        again = polish(problem, first.x, max_iterations=10)
+        assert merit(first.score, 10.0) >= merit(problem.score(start), 10.0) - 1e-12
+        assert merit(again.score, 10.0) >= merit(first.score, 10.0) - 1e-12
 
 
 def test_direct_calls_give_what_casadi_gives() -> None:

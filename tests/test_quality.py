@@ -169,6 +169,23 @@ def test_a_rub_without_input_and_angle_is_caught():
     assert [p.kind for p in find_rub(alone)] == ["rub"]
 
 
+@pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 7e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 8e-6)])
+def test_a_rub_is_caught_in_the_noise_of_the_papers_campaign(point, clearance):
+    made = machine(*point)
+    made = replace(made, sensors=replace(made.sensors, noise_p=650e-9))
+    rec = rig(Prbs(2.0), *point, made=made, faults=Faults(rub_clearance=clearance))
+    assert len(touch_downs(rec)) > 12
+    assert "rub" in [p.kind for p in find_problems(rec)]
+    assert found(rig(Prbs(2.0), *point, made=made)) == []
+
+
+@pytest.mark.parametrize("seed", [0, 2, 4])
+def test_a_film_that_stiffens_is_no_rub(seed):
+    """At 3 bar and 6000 rpm the disc moves far, and run-out hides where the centre of the film is."""
+    made = replace(machine(3.0, 6000.0), stiffening=FilmStiffening())
+    assert found(rig(Prbs(1.5), 3.0, 6000.0, made=made, seed=seed)) == []
+
+
 # ---- clock and encoder ----
 
 

@@ -144,6 +144,22 @@ def test_prefilter_aligns_recordings_of_an_encoder_without_index(tmp_path):
     assert first.item != second.item
 
 
+def test_a_recording_without_index_is_refused_by_name(tmp_path):
+    """Its map would be subtracted at a wrong angle, and the fit would only be poor."""
+    path = write_quick(
+        tmp_path,
+        ("method: auto", "harmonics: 6"),
+        ("prefilter:", '  faults: [{recordings: "*_prbs1", missing_index: true}]\nprefilter:'),
+        text=PREFILTER,
+    )
+    job = Job(load_experiment(path))
+    make_rig_recordings(job)
+    outcome, *_ = prefilter_recordings(job)
+    assert outcome.state == "failed"
+    for words in ("its run-out is that of p5_n6000_still1", "but turned by", "missed its index", "align_index: true"):
+        assert words in outcome.text
+
+
 def test_check_names_two_recordings_of_one_content(tmp_path, capsys):
     from experiment_files import SPRING, write_spring
 

@@ -122,8 +122,10 @@ class DaskEngine:
                     text = "the Dask workers that ran it died; mostly this means that memory was short"
                     yield chunk[0], fail(job, tasks[chunk[0]], Failure(tasks[chunk[0]].key, "crash", text))
         except (OSError, CancelledError) as error:
-            text = f"the Dask scheduler was lost ({error or type(error).__name__}); start it and run again, "
-            raise UsageError(f"{text}what is complete is kept") from None
+            why = " ".join(str(error).split()) or type(error).__name__
+            raise UsageError(
+                f"the Dask scheduler was lost ({why}); start it and run again, what is complete is kept"
+            ) from None
         finally:
             with contextlib.suppress(OSError, CancelledError):  # when it is gone, or a worker dies at this moment
                 if sent:

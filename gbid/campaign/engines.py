@@ -46,6 +46,8 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
         raise UsageError(f"a scheduler is for the engine dask, not {name}; leave one of the two out")
     if scheduler is not None and workers is not None:
         raise UsageError("the scheduler knows how many workers it has; leave the number out")
+    if workers is not None and name == "serial":
+        raise UsageError("the engine serial is this process alone; leave the number of workers out, or choose pool")
     count = workers or _processors()
     if name == "dask" or scheduler is not None:
         from gbid.campaign.dask_engine import DaskEngine

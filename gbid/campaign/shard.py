@@ -34,10 +34,11 @@ def read_shard(text: str) -> Shard:
 
 
 def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task]) -> list[Task]:
-    """Tasks of a shard: those of its excited recordings, and the stationary recordings that these need.
+    """Tasks of a shard: its share of the recordings, fits of these, and the stationary recordings that they need.
 
-    A stationary recording is made by each shard that needs it, always the same. What needs recordings of several
-    shards, a fit to all of them or the map of an operating point, is left to a run without shards.
+    Excited recordings are dealt out in turn, then staircases, hammer runs and run-ups. A stationary recording is made
+    by each shard that needs it, always the same. What needs recordings of several shards, a fit to all of them or the
+    map of an operating point, is left to a run without shards.
 
     Parameters
     ----------
@@ -52,9 +53,10 @@ def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task])
     """
     if shard is None:
         return list(tasks)
-    excited = [planned for planned in experiment.recordings.values() if planned.excited]
-    own = excited[shard.number - 1 :: shard.count]
-    points = {planned.point for planned in own}
-    still = [q.name for q in experiment.recordings.values() if not q.excited and q.point in points]
+    recordings = experiment.recordings.values()
+    apart = sorted((q for q in recordings if not q.stationary), key=lambda planned: not planned.excited)
+    own = apart[shard.number - 1 :: shard.count]
+    points = {planned.point for planned in own if planned.excited}
+    still = [q.name for q in recordings if q.stationary and q.point in points]
     mine = {*(planned.name for planned in own), *still}
     return [task for task in tasks if mine.issuperset(task.recordings)]

@@ -41,8 +41,8 @@ def batch(
         from gbid.report.tables import campaign_tables
 
         part = read_shard(shard) if shard is not None else None
-        if collect and (part is not None or retry or scheduler is not None):
-            raise UsageError("--collect runs nothing; leave --shard, --retry and --scheduler out")
+        if collect and (part is not None or retry or scheduler is not None or workers is not None or engine != "auto"):
+            raise UsageError("--collect runs nothing; leave --shard, --retry, --engine, --workers and --scheduler out")
         loaded = load_experiment(experiment, results)
         if not loaded.spec.fits:
             raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do; add one")

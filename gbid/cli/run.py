@@ -16,7 +16,7 @@ def run(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Run all stages of an experiment: recordings, prefilter, fits, cross-validation, figures."""
+    """Run all stages that an experiment names, from recordings to the report; what is there already is skipped."""
     with guarded(as_json, debug):
         import typer
 

@@ -7,6 +7,7 @@ from gbid.control.compare import Comparison, compare_designs
 from gbid.control.controller_file import load_controller, save_controller
 from gbid.control.controllers import p_controller
 from gbid.control.curves import SensitivityData, sensitivity_data
+from gbid.control.damping import smallest_damping
 from gbid.control.design import ControllerDesign
 from gbid.control.export_c import export_c
 from gbid.control.filters import BiquadStructure, PDStructure, PStructure
@@ -31,7 +32,7 @@ from gbid.control.margins import (
 from gbid.control.maximise import maximise_damping
 from gbid.control.norm import Peak, peak_gain
 from gbid.control.pareto_front import ParetoFront, pareto
-from gbid.control.point_assessment import PointAssessment, smallest_damping
+from gbid.control.point_assessment import PointAssessment
 from gbid.control.ringdown import fit_ringdown
 from gbid.control.ringdown_result import RingDown
 from gbid.control.sampled import SampledLoop, exact_plant, sampled_loop

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.direct_call import DirectCall
+from gbid.control.loop_delay import delayed_outputs
 from gbid.control.scheduled import Scheduled
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
@@ -178,7 +179,11 @@ class LoopEquations:
 
 
 def loop_equations(
-    lpv: LPVModel, controller: Structure | Scheduled, actuator: dict[str, float] | None = None
+    lpv: LPVModel,
+    controller: Structure | Scheduled,
+    actuator: dict[str, float] | None = None,
+    *,
+    delay_s: float = 0.0,
 ) -> LoopEquations:
     """Write down the closed loop once, for all operating points.
 
@@ -189,6 +194,8 @@ def loop_equations(
         From p to r; see `gbid.controller_structure` and `gbid.control.scheduled`.
     actuator : dict of str to float, optional
         Parameters of Eq. 12; the model's own when not given.
+    delay_s : float
+        What sampling and computation add to the loop [s].
 
     Returns
     -------
@@ -209,7 +216,7 @@ def loop_equations(
     values = {**actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
     plant = Plant(RotorBearing(lpv.pade_order, disturbance_gain="none"), PiezoPair(), outputs=("p",))
     G = plant.matrices(Values(values))
-    K = _controller_matrices(controller, gains, g, s)
+    K = delayed_outputs(_controller_matrices(controller, gains, g, s), delay_s)
     n, n_K = G["A"].shape[0], K["A"].shape[0]
     A = ca.blockcat([[G["A"] + G["B"] @ K["D"] @ G["C"], G["B"] @ K["C"]], [K["B"] @ G["C"], K["A"]]])
     B = ca.vertcat(G["B"] @ K["D"], K["B"])

@@ -82,6 +82,8 @@ class GainResult:
         What a user should know of the design, in sentences.
     peak_sensitivity, peak_control, static_amplification : float, optional
         Largest peaks of S_o and K S_o over frequency and loops, largest gain of S_o at rest; None where not known.
+    sample_time : float, optional
+        When the design is for the loop as it runs, sampled at this time [s]: value and peaks are of that loop.
     history : tuple of SearchStep
     points : tuple of (pressure_bar, speed_rpm)
         Operating points that the design was made for, worst points found among them; empty for plain matrices.
@@ -102,6 +104,7 @@ class GainResult:
     peak_sensitivity: float | None = None
     peak_control: float | None = None
     static_amplification: float | None = None
+    sample_time: float | None = None
     history: tuple[SearchStep, ...] = field(default=(), repr=False)
     points: tuple[tuple[float, float], ...] = field(default=(), repr=False)
     controller: Any = field(default=None, repr=False)
@@ -112,7 +115,7 @@ class GainResult:
     def __repr__(self) -> str:
         known = {
             name: getattr(self, name)
-            for name in ("peak_sensitivity", "peak_control", "static_amplification")
+            for name in ("peak_sensitivity", "peak_control", "static_amplification", "sample_time")
             if getattr(self, name) is not None
         }
         return brief(

@@ -31,7 +31,7 @@ class Effort:
     Parameters
     ----------
     starts : int, optional
-        Random starts. When not given: a grid for up to three gains, 48 starts for up to twelve, else 12.
+        Random starts. When not given: a grid for up to three gains, 24 starts for up to twelve, else 12.
     seed : int
         Of the random starts.
     finalists : int
@@ -204,7 +204,7 @@ def _basins(problem: Problem, n: int, most: int) -> list[FloatArray]:
 def _draws(problem: Problem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
     """Random starts, each moved towards the neutral gains until its loops are stable."""
     d = len(neutral)
-    n = effort.starts if effort.starts is not None else (48 if d <= 12 else 12)
+    n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
     unit = qmc.Sobol(d, seed=np.random.default_rng(effort.seed)).random(1 << max(n - 1, 1).bit_length())[:n]
     starts = []
     for u in unit:

@@ -53,7 +53,7 @@ def maximise_damping(
     start : (d,) array, optional
         Gains to start from besides; the zero vector (moved into the bounds) is always one of the starts.
     starts : int, optional
-        Random starts of the global stage. When not given: a grid for up to three gains, 48 for up to twelve, else 12.
+        Random starts of the global stage. When not given: a grid for up to three gains, 24 for up to twelve, else 12.
     seed : int
         Of the random starts.
     progress : callable, optional

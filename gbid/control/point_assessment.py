@@ -8,6 +8,7 @@ from math import inf
 
 import numpy as np
 
+from gbid.control.damping import smallest_damping
 from gbid.control.impact import HalfSine, ImpactResponse, impact_response
 from gbid.control.margins import DiskMargin, disk_margin, static_amplification, static_stiffness_ratio
 from gbid.control.norm import Peak
@@ -16,7 +17,7 @@ from gbid.control.sampling import Method
 from gbid.control.scheduled import Scheduled, controller_at
 from gbid.control.sensitivity import sensitivities
 from gbid.lpv import LPVModel
-from gbid.structure import LinearModel, PiezoPair, evaluate
+from gbid.structure import PiezoPair, evaluate
 from gbid.structure.linear import Structure
 
 FIGURES = (
@@ -70,7 +71,8 @@ class PointAssessment:
         Until the disc's motion after the impact stays below 5 % of its peak, the longer of x and y [s].
     sampled_stable : bool
     sampled_damping : float
-        Smallest damping factor of the loop as it runs: sampled, with time for computation and exact delays.
+        Smallest damping factor of the loop as it runs: sampled, with time for computation and exact delays; of the
+        modes that last longer than a sample.
     sampled_peak_output : Peak
         Largest singular value of S_o of that loop.
     """
@@ -119,21 +121,6 @@ class PointAssessment:
         return self.damping - self.sampled_damping
 
 
-def smallest_damping(model: LinearModel) -> float:
-    """Return the smallest damping factor over all modes; -1 where a real pole grows, infinite without modes.
-
-    Parameters
-    ----------
-    model : LinearModel
-        In continuous time.
-    """
-    factors = [damping for _, damping in model.modes()]
-    poles = model.poles()
-    if ((np.abs(poles.imag) <= 1e-9 * np.abs(poles)) & (poles.real >= 0)).any():
-        factors.append(-1.0)
-    return min(factors, default=inf)
-
-
 def assess_point(
     lpv: LPVModel,
     structure: Structure | Scheduled,
@@ -174,7 +161,7 @@ def assess_point(
         any(blow.exceeds_travel for blow in blows),
         _largest(blows, "decay_time_s"),
         sampled.stable,
-        smallest_damping(sampled.closed),
+        sampled.damping,
         sampled.peak_output,
     )
 

@@ -108,7 +108,8 @@ def _climb(
         merits = [merit(score, penalty) for score in scores]
         best = int(np.argmax(merits)) if steps else 0
         improvement = merits[best] - floor if steps else 0.0
-        promised = promises[best] if steps else np.inf
+        # a step that lets eigenvalues meet may promise less than nothing; it must improve all the same
+        promised = max(promises[best], 0.0) if steps else np.inf
         good = improvement > 0.05 * promised
         if good or improvement > 1e-7:
             x = np.clip(x + steps[best].move, problem.lower, problem.upper)

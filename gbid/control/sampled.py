@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import nan
 
+from gbid.control.damping import smallest_damping
 from gbid.control.loop import close_loop
 from gbid.control.norm import Peak
 from gbid.control.sampling import Method, sample_controller, sample_plant
@@ -26,9 +26,10 @@ class SampledLoop:
     closed : LinearModel
         S_o G of the two.
     damping : float
-        Smallest damping factor of the oscillatory modes, ``log(eigenvalue) / T_s``; negative when one grows.
+        Smallest damping factor of the oscillatory modes that last longer than a sample, see
+        `gbid.control.smallest_damping`; negative when one grows.
     modes : tuple of (frequency_hz, damping)
-        By rising frequency.
+        All of them, ``log(eigenvalue) / T_s``, by rising frequency.
     stable : bool
     peak_output : Peak
         Largest singular value of S_o between samples of p, up to half the sampling frequency.
@@ -108,13 +109,12 @@ def sampled_loop(
     discrete = controller if controller.dt is not None else sample_controller(controller, sample_time, method)
     held = sample_plant(plant, sample_time, sample_time if computation_s is None else computation_s)
     closed = close_loop(held, discrete)
-    modes = tuple(closed.modes())
     return SampledLoop(
         held,
         discrete,
         closed,
-        min((damping for _, damping in modes), default=nan),
-        modes,
+        smallest_damping(closed),
+        tuple(closed.modes()),
         closed.is_stable(),
         sensitivities(held, discrete).peak("output"),
     )

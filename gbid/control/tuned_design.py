@@ -18,7 +18,7 @@ from gbid.control.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
 
 KIND = "tuning"
-_PEAKS = ("peak_sensitivity", "peak_control", "static_amplification")
+_WHERE_KNOWN = ("peak_sensitivity", "peak_control", "static_amplification", "sample_time")
 _TEXTS = ("objective", "status", "verified_on")
 _NUMBERS = ("value", "violation")
 _LISTS = ("active", "notes")
@@ -147,7 +147,7 @@ def load_tuned(path: str | Path) -> TunedDesign:
 
 def _write_result(group: h5py.Group, result: GainResult) -> None:
     group.attrs.update({name: getattr(result, name) for name in (*_TEXTS, *_NUMBERS, "success")})
-    group.attrs.update({name: getattr(result, name) for name in _PEAKS if getattr(result, name) is not None})
+    group.attrs.update({name: getattr(result, name) for name in _WHERE_KNOWN if getattr(result, name) is not None})
     for name in _LISTS:
         _write_texts(group, name, getattr(result, name))
     worst = result.worst
@@ -163,7 +163,7 @@ def _write_result(group: h5py.Group, result: GainResult) -> None:
 def _read_result(group: h5py.Group) -> GainResult:
     found: dict[str, Any] = {name: str(read_attribute(group, name)) for name in _TEXTS}
     found |= {name: float(read_attribute(group, name)) for name in _NUMBERS}
-    found |= {name: float(group.attrs[name]) for name in _PEAKS if name in group.attrs}
+    found |= {name: float(group.attrs[name]) for name in _WHERE_KNOWN if name in group.attrs}
     found |= {name: _read_texts(group, name) for name in _LISTS}
     steps = zip(_read_texts(group["history"], "stages"), read_dataset(group, "history"), strict=True)
     return GainResult(

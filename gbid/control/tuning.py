@@ -13,6 +13,7 @@ from gbid.control.gain_result import GainResult, SearchStep
 from gbid.control.global_search import Effort, Progress
 from gbid.control.impact import HalfSine
 from gbid.control.limits import Limits, Objective
+from gbid.control.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
 from gbid.control.maximise import as_bounds, as_start, solve, summarise, typical_rate
 from gbid.control.pieces import Problem
 from gbid.control.polish import Polished
@@ -46,6 +47,8 @@ def tune(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     uncertainty: Uncertainty | None = None,
     objective: Objective = "damping",
+    sample_time: float | None = None,
+    computation_s: float | None = None,
     start: Mapping[str, float] | None = None,
     starts: int | None = None,
     seed: int = 0,
@@ -88,6 +91,13 @@ def tune(
         The design must hold for every drawn plant as well.
     objective : {"damping", "decay"}
         Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` of all poles [1/s].
+    sample_time : float, optional
+        Design for the loop as it runs: sampled at this time [s]. Holding the references costs half of it, computing
+        them `computation_s`; both enter as one delay, and this and the model's delays as Padé approximations of order
+        3. What comes out as value and peaks is of that loop; the notes say what the truly sampled loop reaches.
+        Without it the loop is the continuous one, which damps more than the one that will run.
+    computation_s : float, optional
+        Time from the sample of p to the change of r [s]; one sample when not given.
     start : dict of str to float, optional
         Gains to start from besides.
     starts, seed
@@ -122,7 +132,10 @@ def tune(
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     over_domain = isinstance(operating_points, str)
     points = _points(lpv, operating_points)
-    equations = loop_equations(lpv, structure, None if actuator is None else dict(actuator))
+    delay_s = loop_delay(sample_time, computation_s)
+    if delay_s:
+        lpv = replace(lpv, pade_order=PADE_ORDER)
+    equations = loop_equations(lpv, structure, None if actuator is None else dict(actuator), delay_s=delay_s)
     setup = _Setup(lpv, structure, equations, points, uncertainty)
     low, high, start_gains = _gain_bounds(structure, bounds)
     names = tuple(parameter.name for parameter in equations.gains)
@@ -144,7 +157,9 @@ def tune(
         [] if start is None else [as_start([start.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)]
     )
     if isinstance(structure, Scheduled):
-        first.append(_constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed)))
+        first.append(
+            _constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed), delay_s)
+        )
     polished, history = _solve(problem, setup, points, start_gains, Effort(starts, seed), first, progress)
     verified = f"eigenvalues and exact H-infinity norms of {len(family)} loops"
     if over_domain:
@@ -155,6 +170,15 @@ def tune(
     notes += _edge_notes(problem, polished, names, peak_sensitivity)
     used = problem.families[0].points
     assert used is not None
+    if sample_time is not None:
+        machine = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
+        gains = dict(zip(names, map(float, polished.x), strict=True))
+        where = sorted({(float(P), float(Omega)) for P, Omega in used})
+        truly, (P, Omega) = smallest_sampled_damping(machine, structure, gains, where, sample_time, computation_s)
+        notes += (
+            f"designed for sampling at {1e3 * sample_time:g} ms with {1e3 * delay_s:g} ms more delay; the sampled loop "
+            f"itself has a smallest damping factor of {truly:.3f}, at {P:g} bar, {Omega:g} rpm",
+        )
     return summarise(
         problem,
         polished,
@@ -164,6 +188,7 @@ def tune(
         notes,
         points=tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used)),
         controller=structure,
+        sample_time=sample_time,
     )
 
 
@@ -301,9 +326,10 @@ def _constant_gains(
     actuator: Mapping[str, float] | None,
     uncertainty: Uncertainty | None,
     effort: Effort,
+    delay_s: float,
 ) -> FloatArray:
     """Best constant gains as coefficients: where a schedule starts, so that it is never worse."""
-    equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator))
+    equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator), delay_s=delay_s)
     low, high, start = _gain_bounds(structure.base, None)
     setup = _Setup(lpv, structure.base, equations, points, uncertainty)
     family = setup.family(points)

@@ -76,6 +76,8 @@ class ControllerSection(Section):
     `peak_sensitivity`: null for none. `uncertainty` needs the surfaces of this experiment.
     `pareto`: caps on the peak of S_o under which the same design is tuned as well.
     `sample_time_s` and `method`: how the controller file is sampled; at the rig's sample time when left out.
+    `design_for`: ``sampled`` tunes the loop as it runs, with the delay of sampling and one sample for computation;
+    ``continuous`` the loop of the paper, which damps more than the one that will run.
     """
 
     structure: Text = "P"
@@ -90,6 +92,7 @@ class ControllerSection(Section):
     static_amplification: Positive | None = None
     slowest_pole: NotNegative | None = None
     objective: Literal["damping", "decay"] = "damping"
+    design_for: Literal["continuous", "sampled"] = "continuous"
     impact: Annotated[BlowSection | None, BeforeValidator(given)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None

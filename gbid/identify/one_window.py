@@ -14,7 +14,6 @@ from gbid.identify.sweep import forced_states, powers_of
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
-_BLOCK = 256  # samples
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
@@ -31,10 +30,7 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     (n_unknowns of the joined problem,) integer array
         Where its unknowns are among those of the problem given.
     """
-    parts = tuple(
-        replace(part, blocks=cut(part.blocks.pieces, part.predictor, None, longest_block=_BLOCK))
-        for part in problem.parts
-    )
+    parts = tuple(replace(part, blocks=cut(part.blocks.pieces, part.predictor, None)) for part in problem.parts)
     firsts = np.concatenate(
         [first + part.blocks.piece_first for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)]
     )

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.discretise import Hold
+from gbid.errors import DataError
 from gbid.identify.data import gather
 from gbid.identify.engine import EngineName
 from gbid.identify.predictor import Focus
@@ -94,7 +95,8 @@ def fit_lpv_direct(
     UsageError
         For unknown names or options.
     DataError
-        For recordings that cannot carry the fit: no operating point, two of one name, too few operating points.
+        For recordings that cannot carry the fit: no operating point, two of one name, too few operating points; for a
+        start whose delays are negative at one of these.
     """
     model = start.model if isinstance(start, LPVFit) else start
     structure = RotorBearing(pade_order=model.pade_order) if structure is None else structure
@@ -106,12 +108,20 @@ def fit_lpv_direct(
     with one_blas_thread():
         gains = own_gains(setting, recordings, focus, hold, engine)
         shared, S = setting.start, _padded(known, len(setting.names))
-        iterations = 0
+        if negative := _negative_delay(setting, shared):
+            raise DataError(
+                f"the surfaces to start from give {negative}, and no delay is negative: single fits are too poor here; "
+                "start from another model, or use longer recordings"
+            )
+        iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
             solved = solve_for(setting, data, shared, S, gains, how)
             found = uncertainty(setting.X, solved.values, solved.information)
             iterations += solved.solution.iterations
             if not (scatter and solved.solution.success):
+                break
+            if negative := _negative_delay(setting, found.refined):
+                ended = f"stopped after round {round_}, as the next would begin with {negative}"
                 break
             moved = np.abs(found.refined - shared) / np.sqrt(np.diag(found.refined_covariance))
             shared, S, gains = found.refined, found.scatter, solved.gains
@@ -127,8 +137,8 @@ def fit_lpv_direct(
         "iterations": str(iterations),
         "engine": solved.engine,
     }
-    notes = list(gains.notes)
-    if scatter and solved.solution.success and moved.max() >= _SETTLED:
+    notes = [*gains.notes, ended] if ended else list(gains.notes)
+    if scatter and not ended and solved.solution.success and moved.max() >= _SETTLED:
         notes.append(f"after {_ROUNDS} rounds the coefficients still moved by {moved.max():.2g} standard deviations")
     names = tuple(record.name for record in data.records)
     result = _result(start, setting, names, solved, found, scatter=scatter)
@@ -140,6 +150,17 @@ def fit_lpv_direct(
         success=solved.solution.success,
         notes=tuple(notes),
     )
+
+
+def _negative_delay(setting: Setting, shared: FloatArray) -> str:
+    """Name the delay that surfaces make negative at a recording's point, with the place; empty when none is."""
+    values = setting.X @ shared
+    for key in ("tau_x", "tau_y"):
+        delay = values[:, setting.names.index(key)]
+        if delay.min() < 0:
+            pressure, speed = setting.points[int(delay.argmin())]
+            return f"{key} = {1e3 * delay.min():.3g} ms at {pressure:g} bar, {speed:g} rpm"
+    return ""
 
 
 def _result(

@@ -124,7 +124,7 @@ def fit_lpv(
             "chosen": "by cross-validation" if isinstance(order, str) and order == "auto" else "given",
             "robust": f"Huber, {HUBER:g} standard deviations" if robust else "no",
         },
-        notes=(*solved.notes, *_notes(estimates, missed)),
+        notes=(*solved.notes, *_notes(estimates, missed), *_impossible(model)),
     )
 
 
@@ -236,3 +236,16 @@ def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
             "standard deviations do not cover what the polynomial leaves out"
         )
     return tuple(notes)
+
+
+def _impossible(model: LPVModel) -> tuple[str, ...]:
+    """Say where in the domain a surface makes a delay negative."""
+    sides = (np.linspace(*getattr(model.domain, key), 41) for key in ("pressure_bar", "speed_rpm"))
+    pressure, speed = (side.ravel() for side in np.meshgrid(*sides))
+    found = model.key_parameters(pressure, speed)
+    return tuple(
+        f"{key} is negative in part of the domain, {1e3 * found[key].min():.3g} ms at "
+        f"{pressure[found[key].argmin()]:g} bar, {speed[found[key].argmin()]:g} rpm; the model cannot be used there"
+        for key in ("tau_x", "tau_y")
+        if np.min(found[key]) < 0
+    )

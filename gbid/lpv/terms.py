@@ -104,7 +104,9 @@ def check_points(points: FloatArray, exponents: Exponents) -> None:
     size = np.linalg.norm(raw, axis=0)
     empty = [name for name, s in zip(names, size, strict=True) if s == 0]
     if empty:
-        raise DataError(f"operating points: {', '.join(empty)} is zero at all of them; choose terms without it")
+        raise DataError(
+            f"operating points: zero at all of them: {', '.join(empty)}; add points or choose terms without"
+        )
     _, s, vectors = np.linalg.svd(raw / size)
     dark = vectors[s < _DARK * s[0]]
     if len(dark):

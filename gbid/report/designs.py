@@ -29,7 +29,7 @@ def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDes
 
 def _terms(design: TunedDesign) -> tuple[object, ...]:
     points = tuple(map(tuple, design.worth[0].points)) if design.worth else ()
-    return design.plant, points, design.result.objective, design.impact, design.sample_time
+    return design.plant, points, design.result.objective, design.result.sample_time, design.impact, design.sample_time
 
 
 def design_worths(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
@@ -78,13 +78,17 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoFront:
         label = design.worth[0].structure if design.worth else name
         label = name if label in fronts else label
         fronts[label] = [_place(result) for result in results if result.success and result.peak_sensitivity is not None]
-    marked = {}
+    first, marked = next(iter(chosen.values())), {}
+    runs = first.result.sample_time is not None
+    figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
     for worth in design_worths(designs)[len(chosen) :]:
-        peak, damping = worth.worst["peak_output"][0], worth.worst["damping"][0]
+        peak, damping = (worth.worst[figure][0] for figure in figures)
         if np.isfinite([peak, damping]).all():
             marked[worth.name] = (peak, damping)
-    first = next(iter(chosen.values()))
-    return pareto_data(fronts, marked, f"{first.plant}, worst of {len(first.result.points)} operating points")
+    title = f"{first.plant}, worst of {len(first.result.points)} operating points"
+    if first.result.sample_time is not None:
+        title += f", sampled at {1e3 * first.result.sample_time:g} ms"
+    return pareto_data(fronts, marked, title)
 
 
 def _place(result: GainResult) -> tuple[float, float]:

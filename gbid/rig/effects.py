@@ -52,7 +52,7 @@ class FlexibleMode:
 
 @dataclass(frozen=True)
 class FilmStiffening:
-    r"""A gas film that grows stiffer away from the centre: K (1 + |q|^2/l^2) in place of K.
+    r"""A gas film that grows stiffer away from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
 
     Given by what a staircase shows (Sec. 3.1): where a linear film would let the disc rest at `at`, it rests
     short of that by `deviation`. The straight line that fits a staircase best is off by less. The static

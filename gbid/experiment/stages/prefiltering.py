@@ -8,6 +8,8 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from gbid.errors import DataError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.load import Experiment
@@ -28,6 +30,10 @@ from gbid.recording import Recording, save_recording
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
+INDEX_OFF = np.deg2rad(10.0)
+"""Angle that a recording's run-out may be turned from the map's [rad] ..."""
+SURE = 5.0
+"""... and standard deviations of it, before the index counts as missed."""
 
 
 def prefilter_recordings(job: Job) -> list[Outcome]:
@@ -117,9 +123,26 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
         refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
         if section.align_index:
             raw = align_index(runout_map, raw).apply(raw)
+        else:
+            _refuse_lost_index(runout_map, raw)
     filtered, report = prefilter(raw, runout_map, median=section.median, remove_mean=section.remove_mean)
     save_recording(filtered, part, overwrite=True)
     add_report(part, report)
+
+
+def _refuse_lost_index(runout_map: RunoutMap, raw: Recording) -> None:
+    """Refuse a recording whose run-out is the map's, but turned: the map would add to it what it is to take out."""
+    try:
+        found = align_index(runout_map, raw)
+    except DataError:
+        return  # too short to tell
+    off = abs(np.angle(np.exp(1j * found.offset)))
+    if found.sure and off > max(INDEX_OFF, SURE * found.std):
+        raise DataError(
+            f"recording {raw.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but turned by "
+            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not count from the "
+            "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
+        )
 
 
 def _write_map(job: Job, item: str, part: Path) -> Made:

@@ -159,6 +159,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         **tune_options(section),
         "controller": structure,
         "uncertainty": plants,
+        "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
         "progress": progress,
     }
     result = tune(model, peak_sensitivity=section.peak_sensitivity, **options)

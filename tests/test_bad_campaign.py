@@ -1,0 +1,116 @@
+"""A folder full of faults: each is named, by the check or among the failures, and the rest is fitted."""
+
+import numpy as np
+import pytest
+from experiment_files import gbid
+from rig_point import machine
+from test_own_folder import BY_TABLE, SIGNALS, columns_of, write_file
+
+from gbid import load_table
+from gbid.rig import Faults, Prbs, Stationary, record
+
+EXPERIMENT = """\
+format: 1
+name: bad
+import:
+  data_folder: data
+  folder:
+    pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.npz"
+    time: t
+    signals:
+{signals}
+prefilter: {{harmonics: 4}}
+fits:
+  bearing: {{structure: rotor_bearing, options: {{disturbance_gain: none}}, focus: simulation, stop: paper}}
+  piezos: {{structure: piezo_pair}}
+"""
+GOOD = ("p5_n6000_prbs1", "p5_n6000_prbs2", "p6_n0_prbs1")
+BAD = {  # and what the check says of it
+    "p5_n6000_prbs3": "signal 'p' shows a rub",
+    "p5_n6000_prbs4": "signal 'p' channel 'y' is constant: all 5000 samples are 1e-06 m; a dead sensor",
+    "p5_n6000_prbs5": "sample time 0.00025 s; 7 of 8 recordings of fit bearing have 0.0002 s",
+    "p5_n6000_prbs6": "signal 'p' has x and y swapped",
+    "p5_n6000_prbs7": "truncated",
+    "p5_n6000_prbs8": "holds the same samples as 'p5_n6000_prbs1'",
+}
+AT_IMPORT = {"p5_n6000_prbs5": "a sample time of 0.0002 s would fit"}
+
+
+def measure(name, seed, **faults):
+    pressure, speed = float(name[1]), float(name.split("_")[1][1:])
+    conditions, kind = {"pressure_bar": pressure, "speed_rpm": speed}, Stationary if "still" in name else Prbs
+    rig, faulty = machine(pressure, speed), Faults(**faults)
+    made = record(rig, kind(1.0), conditions=conditions, seed=seed, name=name, faults=faulty)
+    return {**columns_of(made), "t": made.sample_time * np.arange(made.n_samples)}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    made = tmp_path_factory.mktemp("bad")
+    (made / "data").mkdir()
+    faults = {
+        "p5_n6000_prbs3": {"rub_clearance": 7e-6},
+        "p5_n6000_prbs4": {"dead": {"p.y": 1e-6}},
+        "p5_n6000_prbs6": {"swapped": ("p",)},
+    }
+    still = ("p5_n6000_still1", "p6_n0_still1")
+    for seed, name in enumerate((*GOOD, *BAD, *still)):
+        write_file(made / "data" / f"{name}.npz", measure(name, seed, **faults.get(name, {})))
+    data = made / "data"
+    values = dict(np.load(data / "p5_n6000_prbs5.npz"))
+    np.savez(data / "p5_n6000_prbs5.npz", **{**values, "t": 1.25 * values["t"]})
+    whole = (data / "p5_n6000_prbs7.npz").read_bytes()
+    (data / "p5_n6000_prbs7.npz").write_bytes(whole[: len(whole) // 2])
+    (data / "p5_n6000_prbs8.npz").write_bytes((data / "p5_n6000_prbs1.npz").read_bytes())
+    path = made / "experiment.yaml"
+    path.write_text(EXPERIMENT.format(signals=SIGNALS.rstrip()))
+    return path
+
+
+def test_each_fault_is_named_and_the_rest_is_fitted(folder, capsys):
+    # What the experiment cannot do at all is said first.
+    alone = folder.parent / "data" / "p7_n4000_prbs1.npz"
+    write_file(alone, measure(alone.stem, 99))
+    assert gbid("check", folder) == gbid("batch", folder) == 2
+    told = capsys.readouterr().err.splitlines()
+    assert len(told) == 2
+    assert all("no stationary recording at p7_n4000 (as 'p7_n4000_prbs1')" in line for line in told)
+    alone.unlink()
+
+    assert gbid("check", folder) == 3
+    told = capsys.readouterr().err.splitlines()
+    for name, text in BAD.items():
+        assert any(name in line and text in line for line in told), name
+    assert not [line for line in told if not any(name in line for name in BAD)]
+
+    assert gbid("batch", folder, "--engine", "serial") == 3
+    told = capsys.readouterr().err.splitlines()
+    reasons = [line for line in told if line.startswith("gbid: error: import ")]
+    assert len(reasons) == len(BAD)
+    table = load_table(folder.parent / "results" / "bad" / "table.h5")
+    assert len(table) == 2 * (len(GOOD) + len(BAD))
+    for i in range(len(table)):
+        name = str(table.model[i])
+        if name in GOOD:
+            assert table.success[i], table.status[i]
+            assert table.fit_percent[i][np.isfinite(table.fit_percent[i])].min() > 90
+        else:
+            assert not table.success[i]
+            text = AT_IMPORT.get(name, BAD[name])
+            assert table.status[i].startswith(f"failed: import {name}: ")
+            assert text in table.status[i]
+            assert any(f"import {name}: " in line and text in line for line in reasons)
+
+
+def test_two_recordings_with_one_name(tmp_path, capsys):
+    (tmp_path / "data").mkdir()
+    rows = ["file,name,kind,pressure_bar,speed_rpm", "a.npz,run1,prbs,5,6000", "b.npz,run1,prbs,5,6000"]
+    (tmp_path / "data" / "runs.csv").write_text("\n".join(rows) + "\n")
+    for name in "ab":
+        np.savez(tmp_path / "data" / f"{name}.npz", phi=np.zeros(200))
+    path = tmp_path / "experiment.yaml"
+    path.write_text(BY_TABLE.format(signals="      phi: {columns: phi, unit: rad}") + "fits: {}\n")
+    assert gbid("check", path) == 2
+    (told,) = capsys.readouterr().err.splitlines()
+    assert "run1" in told
+    assert "runs.csv" in told

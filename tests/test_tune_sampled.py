@@ -1,0 +1,86 @@
+"""Designs for the loop as it runs: the delay of sampling and computation, and what the sampled loop reaches."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
+from gbid.control.loop_delay import delayed_outputs, loop_delay
+from gbid.errors import UsageError
+
+MODEL = gbid.load_model("theisen2016")
+ONE = [(6.0, 0.0)]
+
+
+def test_delayed_outputs_turn_the_phase_and_nothing_else() -> None:
+    gains = {"b0_x": 1.1, "b0_y": 0.9, "b1_x": -1.4, "b1_y": 2.0, "b2_x": -3.0, "b2_y": 1.0}
+    gains |= {"frequency_x": 0.5, "frequency_y": 0.3, "damping_x": 0.5, "damping_y": 0.7}
+    K = controller_model(gbid.controller_structure("biquad"), gains)
+    late = delayed_outputs({letter: ca.SX(ca.DM(getattr(K, letter))) for letter in "ABCD"}, 3e-4)
+    A, B, C, D = (np.array(ca.DM(late[letter])) for letter in "ABCD")
+    for hz in (5.0, 100.0, 300.0, 600.0):
+        s = 2j * np.pi * hz
+        before = K.C @ np.linalg.solve(s * np.eye(len(K.A)) - K.A, K.B) + K.D
+        after = C @ np.linalg.solve(s * np.eye(len(A)) - A, B) + D
+        leading = 36 / (720 * 5040) * abs(3e-4 * s) ** 7  # (n!)^2 / (2n)! / (2n + 1)! (w tau)^(2n + 1), n = 3
+        np.testing.assert_allclose(after, np.exp(-3e-4 * s) * before, rtol=1.05 * leading + 1e-12, atol=1e-12)
+
+
+def test_delay_is_half_a_sample_and_the_computation() -> None:
+    assert loop_delay(None, None) == 0
+    assert loop_delay(2e-4, None) == pytest.approx(3e-4)
+    assert loop_delay(2e-4, 0.0) == pytest.approx(1e-4)
+
+
+def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> None:
+    continuous = gbid.tune(MODEL)
+    runs = gbid.tune(MODEL, sample_time=2e-4)
+    assert runs.success
+    assert runs.sample_time == 2e-4
+
+    def sampled(gains: object) -> tuple[float, float]:
+        loops = [sampled_loop(exact_plant(MODEL, *point), p_controller(**gains)) for point in MODEL.operating_points]
+        return min(loop.damping for loop in loops), max(loop.peak_output.value for loop in loops)
+
+    damping, peak = sampled(runs.gains)
+    assert damping == pytest.approx(runs.value, abs=2e-3)
+    assert peak == pytest.approx(2.6, abs=5e-3)
+    assert damping > sampled(continuous.gains)[0] + 0.04
+    assert f"damping factor of {damping:.3f}" in runs.notes[-1]
+
+
+def test_computation_costs_damping() -> None:
+    quick = gbid.tune(MODEL, operating_points=ONE, controller="PD", sample_time=2e-4, computation_s=0.0, starts=4)
+    slow = gbid.tune(MODEL, operating_points=ONE, controller="PD", sample_time=2e-4, computation_s=4e-4, starts=4)
+    assert quick.value != pytest.approx(slow.value, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("options", "word"),
+    [
+        ({"computation_s": 1e-4}, "give sample_time as well"),
+        ({"sample_time": 0.0}, "above 0"),
+        ({"sample_time": 2e-4, "computation_s": -1e-4}, "0 or more"),
+    ],
+)
+def test_times_that_make_no_sense_are_refused(options: dict[str, float], word: str) -> None:
+    with pytest.raises(UsageError, match=word):
+        gbid.tune(MODEL, operating_points=ONE, **options)
+
+
+def test_modes_that_die_within_a_sample_do_not_count() -> None:
+    dt = 2e-4
+
+    def model(*eigenvalues: complex) -> gbid.LinearModel:
+        A = np.zeros((2 * len(eigenvalues),) * 2)
+        for i, z in enumerate(eigenvalues):
+            A[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[z.real, z.imag], [-z.imag, z.real]]
+        return gbid.LinearModel(A, np.zeros((len(A), 1)), np.zeros((1, len(A))), np.zeros((1, 1)), dt=dt)
+
+    slow, fast = np.exp(dt * 2 * np.pi * 100 * (-0.5 + 0.75**0.5 * 1j)), 0.3 * np.exp(2j)
+    assert smallest_damping(model(slow)) == pytest.approx(0.5)
+    assert smallest_damping(model(slow, 0.9 * np.exp(2j))) < 0.1
+    assert smallest_damping(model(slow, fast)) == pytest.approx(0.5)
