@@ -173,6 +173,10 @@ def test_bad_input_is_refused(scattered):
         gbid.fit_lpv_direct([scattered[0], scattered[0]], PAPER)
     with pytest.raises(DataError, match="2 operating points for 6 terms"):
         gbid.fit_lpv_direct(scattered[:4], PAPER)
+    late = PAPER.coefficients["tau_x"]
+    early = replace(PAPER, coefficients={**PAPER.coefficients, "tau_x": (late[0] - 1e-3, *late[1:])})
+    with pytest.raises(DataError, match=r"tau_x = -0\.\d+ ms at .* bar, .* rpm, and no delay is negative"):
+        gbid.fit_lpv_direct(scattered, early, structure=EXACT, fixed=FIXED)
     with pytest.raises(UsageError, match="k_xx is a surface"):
         gbid.fit_lpv_direct(scattered, PAPER, fixed={"k_xx": 1.0})
     with pytest.raises(UsageError, match="no start for p1_x"):

@@ -19,6 +19,11 @@ from gbid.experiment.stages.failures import Failure
 _PATIENCE = 10.0  # seconds for a scheduler to answer
 _AHEAD = 3  # journeys for each thread of a worker at a time, so that it need not wait
 _JOURNEYS, _LARGEST = 50, 16  # for each thread in all, when there are many tasks; tasks of one journey
+_CALM = {  # what Dask does beside the tasks, many times for each fit
+    "distributed.worker.profile.enabled": False,  # a tenth of the time
+    "distributed.admin.tick.interval": "1s",
+    "distributed.admin.system-monitor.interval": "5s",
+}
 _one_at_a_time = threading.Lock()  # in each worker process: the solver bears no threads
 
 
@@ -168,7 +173,7 @@ def _local_cluster(n_workers: int) -> Any:
     options = {"threads_per_worker": 1, "processes": True, "dashboard_address": ":0", "host": "127.0.0.1"}
     for trial in range(1, ATTEMPTS + 1):
         try:
-            with dask.config.set({"distributed.worker.profile.enabled": False}):  # it takes a tenth of the time
+            with dask.config.set(_CALM):
                 return LocalCluster(n_workers=n_workers, **options)
         except RuntimeError as error:
             if trial == ATTEMPTS:

@@ -105,14 +105,14 @@ def fit_lpv_direct(
     data = gather(recordings, as_names(structure.inputs), as_names(structure.outputs), minimum=_SHORTEST)
     how = How(focus, hold, engine, max_iterations, progress)
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
+    if negative := _negative_delay(setting, setting.start):
+        raise DataError(
+            f"the surfaces to start from give {negative}, and no delay is negative: single fits are too poor here; "
+            "start from another model, or use longer recordings"
+        )
     with one_blas_thread():
         gains = own_gains(setting, recordings, focus, hold, engine)
         shared, S = setting.start, _padded(known, len(setting.names))
-        if negative := _negative_delay(setting, shared):
-            raise DataError(
-                f"the surfaces to start from give {negative}, and no delay is negative: single fits are too poor here; "
-                "start from another model, or use longer recordings"
-            )
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
             solved = solve_for(setting, data, shared, S, gains, how)

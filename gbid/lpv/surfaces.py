@@ -240,8 +240,9 @@ def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
 
 def _impossible(model: LPVModel) -> tuple[str, ...]:
     """Say where in the domain a surface makes a delay negative."""
-    sides = (np.linspace(*getattr(model.domain, key), 41) for key in ("pressure_bar", "speed_rpm"))
-    pressure, speed = (side.ravel() for side in np.meshgrid(*sides))
+    (p_low, p_high), (n_low, n_high) = model.domain.pressure_bar, model.domain.speed_rpm
+    grid = np.meshgrid(np.linspace(p_low, p_high, 41), np.linspace(n_low, n_high, 41))
+    pressure, speed = (side.ravel() for side in grid)
     found = model.key_parameters(pressure, speed)
     return tuple(
         f"{key} is negative in part of the domain, {1e3 * found[key].min():.3g} ms at "
