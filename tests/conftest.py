@@ -1,6 +1,16 @@
-"""One thread in each BLAS before numpy is loaded: the matrices here are small, and threads cost more than they give."""
+"""One thread in each BLAS before numpy is loaded: the matrices here are small, and threads cost more than they give.
+
+Property tests draw the same examples in every run, so that a change is judged by what it changed;
+``HYPOTHESIS_PROFILE=search make unit`` draws new ones.
+"""
 
 import os
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+
+from hypothesis import settings  # noqa: E402  it may load numpy
+
+settings.register_profile("repeatable", derandomize=True)
+settings.register_profile("search", derandomize=False, print_blob=True)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))

@@ -1,16 +1,13 @@
 """Runs the code cells of a documentation page in order, as the build does: ``python run_page.py PAGE``.
 
-Warnings are errors. Sphinx is not needed, nor IPython: cells import a few words for pictures and tables from it, which
-stand-ins replace where it is not installed.
+Warnings are errors. Sphinx is not needed; IPython is, from which cells take a few words for pictures and tables.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import linecache
 import re
 import sys
-import types
 import warnings
 from pathlib import Path
 
@@ -29,11 +26,6 @@ def cells(path: Path) -> list[str]:
 
 def run(path: Path) -> None:
     """Execute all cells of a page in one namespace; an error is reported with its line of the cell."""
-    if importlib.util.find_spec("IPython") is None:
-        stand_in = types.ModuleType("IPython.display")
-        for word in ("Image", "Markdown", "HTML", "SVG", "display"):
-            setattr(stand_in, word, lambda *_, **__: None)
-        sys.modules["IPython"], sys.modules["IPython.display"] = types.ModuleType("IPython"), stand_in
     warnings.simplefilter("error")
     names = {"__name__": "__main__"}
     for number, body in enumerate(cells(path), start=1):

@@ -155,7 +155,7 @@ def test_kill_of_workers_and_of_the_pool_runner(springs, fresh):
 @pytest.mark.parametrize("line", [pytest.param("import: 14 to make", marks=pytest.mark.slow), "import: 14 of 14"])
 def test_ctrl_c_in_a_terminal(tmp_path, line):
     """It goes to the runner and its workers; the second time while they are at work."""
-    path = write_springs(tmp_path, 14)
+    path = write_springs(tmp_path, 14, fit="focus: simulation, multi_start: {starts: 30}")  # fits that last
     process = batch(path, "--engine", "pool", "--workers", "2", start_new_session=True)
     for text in process.stderr:
         if text.startswith(line):
