@@ -266,6 +266,17 @@ def test_the_api_page_documents_each_argument(name: str) -> None:
         assert not missing, f"{name}.{method}: no word about {sorted(missing)}"
 
 
+@pytest.mark.parametrize("name", API)
+def test_no_bar_in_a_docstring_reads_as_a_substitution(name: str) -> None:
+    """The build fails on |r|, which reST takes for the name of a replacement."""
+    value = public(name)
+    described = [value, *(methods(value).values() if inspect.isclass(value) else ())]
+    described += [v for v in vars(value).values() if isinstance(v, property)] if inspect.isclass(value) else []
+    text = "\n".join(inspect.cleandoc(each.__doc__ or "") for each in described)
+    text = re.sub(r"``.*?``|:math:`.*?`|\.\. math::.*?(?=\n\S)", "", text, flags=re.DOTALL)
+    assert re.findall(r"\|\w[^|\n]*\|", text) == []
+
+
 @pytest.mark.parametrize("name", PUBLIC)
 def test_public_names_are_in_the_api_page(name: str) -> None:
     text = (DOCS / "api.md").read_text(encoding="utf-8")

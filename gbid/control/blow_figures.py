@@ -32,8 +32,8 @@ class BlowFigures:
         From the blow until 95 % of the energy of the response, the noise's taken off, has passed [s].
         An amplitude that falls as exp(-d t) has lost 78 % by then.
     piezo_m, piezo_std_m, piezo_simulated_m : float
-        Largest motion of a stack out of its middle, |u| / 2 [m]. What is measured holds what the controller makes of
-        the sensor's noise; it is nan without the signal `u`.
+        Largest motion of a stack out of its middle, ``|u| / 2`` [m]. What is measured holds what the controller makes
+        of the sensor's noise; it is nan without the signal `u`.
     """
 
     peak_m: float

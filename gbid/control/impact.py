@@ -80,12 +80,12 @@ class ImpactResponse:
     peak_p_m : float
         Largest distance of the disc from its rest [m]; infinite for an unstable loop.
     peak_r_m, peak_u_m : float
-        Largest entry of |r| and |u| [m].
+        Largest entry of ``|r|`` and ``|u|`` [m].
     decay_time_s : float
         From the start of the blow until the distance stays below 5 % of its peak [s]; infinite when that is not
         reached within the time simulated.
     stack_travel_m : float
-        Largest motion of a single stack out of its middle, commanded or moved [m]: |r|, or |u| / 2.
+        Largest motion of a single stack out of its middle, commanded or moved [m]: ``|r|``, or ``|u| / 2``.
     travel_limit_m : float
         Motion that a stack has to each side of its middle, half its travel [m].
     """

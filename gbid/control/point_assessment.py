@@ -62,7 +62,7 @@ class PointAssessment:
     stiffness_ratio : tuple of float
         Static stiffness of the closed loop over that of the open one, x and y; NaN for an unstable loop.
     impact_p_m, impact_r_m : float
-        Largest motion of the disc and largest |r| under the impact, the worse of x and y [m].
+        Largest motion of the disc and largest ``|r|`` under the impact, the worse of x and y [m].
     stack_travel_m : float
         Largest motion of one stack out of its middle under the impact [m].
     exceeds_travel : bool

@@ -118,7 +118,7 @@ def _spectrum(values: FloatArray, sample_time: float) -> tuple[FloatArray, Compl
 def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
     """Band around the resonance [rad/s]: where the two modes show.
 
-    The peak of |P|^2 / |U|, the mean of power and gain: power alone may peak where the input is strong (a PRBS has
+    The peak of ``|P|^2 / |U|``, the mean of power and gain: power alone may peak where the input is strong (a PRBS has
     little to give at the inverse of its hold), gain alone where both are noise.
     """
     totals: dict[int, FloatArray] = {}

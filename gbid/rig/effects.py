@@ -98,7 +98,7 @@ class NonSynchronous:
     Parameters
     ----------
     size : float
-        rms of |w| where it is largest [m].
+        rms of ``|w|`` where it is largest [m].
     peak_rpm, width_rpm : float
         n_0 and Delta n of speeds where it is felt [rpm].
     ratio : float

@@ -217,7 +217,7 @@ class Machine:
 
     @property
     def travel(self) -> float:
-        """Largest |r| that a controller may ask for [m]: that of the stacks, half of 45 um for linear actuators."""
+        """Largest ``|r|`` that a controller may ask for [m]: that of the stacks, half of 45 um for linear actuators."""
         return self.actuator.travel if isinstance(self.actuator, PiezoStacks) else 22.5e-6
 
     def beyond_closed_form(self) -> list[str]:

@@ -228,7 +228,7 @@ class PiezoStacks:
 
     @property
     def travel(self) -> float:
-        """Largest |r| that no stack's end cuts short [m]."""
+        """Largest ``|r|`` that no stack's end cuts short [m]."""
         return min(self.offset, min(stack.stroke for stack in self.stacks) - self.offset)
 
     @classmethod
