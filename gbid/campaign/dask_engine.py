@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Generator, Sequence
 from typing import Any
 
-from gbid.campaign.pool import ATTEMPTS
+from gbid.campaign.pool import ATTEMPTS, ONE_THREAD
 from gbid.campaign.shipping import attempt, bare_job, bare_task
 from gbid.errors import DataError, GbidError, NoSpaceError, UsageError
 from gbid.experiment.stages import Job, Outcome, Task, fail
@@ -19,10 +19,12 @@ from gbid.experiment.stages.failures import Failure
 _PATIENCE = 10.0  # seconds for a scheduler to answer
 _AHEAD = 3  # journeys for each thread of a worker at a time, so that it need not wait
 _JOURNEYS, _LARGEST = 50, 16  # for each thread in all, when there are many tasks; tasks of one journey
-_CALM = {  # what Dask does beside the tasks, many times for each fit
+_CALM = {  # what Dask does beside the tasks, many times for each fit: over a third of a short one, in sum
     "distributed.worker.profile.enabled": False,  # a tenth of the time
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
+    # Dask's own has MALLOC_TRIM_THRESHOLD_ as well: every larger array goes back to the system and is taken anew.
+    "distributed.nanny.pre-spawn-environ": dict.fromkeys(ONE_THREAD, 1),
 }
 _one_at_a_time = threading.Lock()  # in each worker process: the solver bears no threads
 

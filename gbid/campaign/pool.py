@@ -23,7 +23,7 @@ from gbid.experiment.stages.failures import Failure
 ATTEMPTS = 3
 """How often a task may take its worker down before it counts as failed."""
 
-_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _PATIENCE = 3.0  # seconds for a worker to end
 
 
@@ -115,7 +115,7 @@ class ProcessPool:
         for _ in range(count - len(self._workers)):
             ours, theirs = context.Pipe()
             process = context.Process(target=serve, args=(theirs,), daemon=True, name="gbid worker")
-            with _environment(dict.fromkeys(_ONE_THREAD, "1")), _without_interrupts():
+            with _environment(dict.fromkeys(ONE_THREAD, "1")), _without_interrupts():
                 process.start()
             theirs.close()
             self._workers.append(_Worker(process, ours))

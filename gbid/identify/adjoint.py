@@ -8,6 +8,7 @@ the entries of F, G, C and H are sums of its products with states and regressors
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -35,35 +36,76 @@ def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: Float
     (n_unknowns,) array
         NaN where the problem has no value.
     """
+    found = part_gradients(problem, unknowns, lam_gaps)
+    if found is None:
+        return np.full(problem.n_unknowns, np.nan)
+    theta, _ = problem.unpack(unknowns)
+    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean) * problem.theta_scale
+    for part, own in zip(problem.parts, found.by_theta, strict=True):
+        by_theta[part.index] += own
+    by_start = np.concatenate(found.by_start)
+    by_start[problem.links[:, 1]] -= lam_gaps.reshape(-1, problem.n_states)
+    return np.concatenate([by_theta, by_start.ravel()])
+
+
+class PartGradients(NamedTuple):
+    """What each part adds to the gradient of the Lagrangian, scaled.
+
+    Attributes
+    ----------
+    by_theta : list of (n_p,) array
+        By the parameters at the part's `index`.
+    by_start : list of (n_windows, n) array
+        By its windows' starts, where other windows that end there are left out.
+    weight : (n_y, n_y) array
+        Of the squared errors, all parts together.
+    """
+
+    by_theta: list[FloatArray]
+    by_start: list[FloatArray]
+    weight: FloatArray
+
+
+def part_gradients(
+    problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, weight: FloatArray | None = None
+) -> PartGradients | None:
+    """Gradient of the Lagrangian part by part, without the prior; None where the problem has no value.
+
+    Parameters
+    ----------
+    problem : Shooting
+    unknowns : (n_unknowns,) array
+        Scaled.
+    lam_gaps : (n_gaps,) array
+    weight : (n_y, n_y) array, optional
+        That of the errors at this point when not given. With it parts do not depend on each other.
+    """
     theta, starts = problem.unpack(unknowns)
-    nothing = np.full(problem.n_unknowns, np.nan)
     if not all(part.within_bounds(theta) for part in problem.parts):
-        return nothing
+        return None
     values = problem.values(theta)
     if problem.stable_only and problem.noise and spectral_radius(values) > 1:
-        return nothing
+        return None
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
     made = [
         from_starts(v, part.blocks, starts[own], part.engine)
         for v, part, own in zip(values, problem.parts, windows, strict=True)
     ]
-    products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", p.errors, p.errors, optimize=True) for p in made))
-    if not np.isfinite(products).all():
-        return nothing
-    weight = problem.weight(products)
-    lam = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    if weight is None:
+        products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", p.errors, p.errors, optimize=True) for p in made))
+        if not np.isfinite(products).all():
+            return None
+        weight = problem.weight(products)
     last = np.zeros_like(starts)
-    last[problem.links[:, 0]] = lam
-    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean)
-    by_start = []
+    last[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    found = PartGradients([], [], weight)
     for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
         sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, last[own])
         by_own = _by_parameters(v, sums)
-        by_theta[part.index] += by_own if part.tie is None else part.tie.T @ by_own
-        by_start.append(start)
-    starts_gradient = np.concatenate(by_start)
-    starts_gradient[problem.links[:, 1]] -= lam
-    return np.concatenate([by_theta * problem.theta_scale, (starts_gradient * problem.state_scale).ravel()])
+        by_index = by_own if part.tie is None else part.tie.T @ by_own
+        found.by_theta.append(by_index * problem.theta_scale[part.index])
+        found.by_start.append(start * problem.state_scale)
+    return found
 
 
 def _of_part(

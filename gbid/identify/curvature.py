@@ -12,13 +12,14 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.adjoint import lagrangian_gradient
+from gbid.identify.adjoint import PartGradients, part_gradients
 from gbid.identify.shooting import Iterate, Shooting
 
 FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 _REFRESH = 2  # iterations for which the columns of the disturbance gain serve
-_DIFFERENCE = 1e-4  # step of a difference, in units in which the cost has curvature one
-_MOST_DIFFERENCES = 8  # columns; with more, as for gains local to many recordings, they cost more than they save
+_DIFFERENCE = 1e-5  # step of a difference, in units in which the cost has curvature one
+_MOST_DIFFERENCES = 8  # passes; with more they cost more than they save
 _WORTHLESS = 1e-8  # cosine below which a step says nothing about the curvature along it
 
 
@@ -99,7 +100,7 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
 
     What the disturbance gain does to the predictions is made of the errors themselves, so the second derivatives
     that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences of the Lagrangian's
-    gradient.
+    gradient; gains of different recordings share one, since each recording feels its own alone.
 
     Returns
     -------
@@ -107,18 +108,55 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
         Entries where `Shooting.hessian_pattern` has them.
     """
     iterate = problem.at(unknowns)
-    entries = iterate.hessian.copy()
-    if not problem.noise or len(problem.noise) > _MOST_DIFFERENCES:
-        return np.zeros_like(entries)
-    here = problem.lagrangian_gradient(iterate, 1.0, lam_gaps)
-    rows, columns = problem.hessian_pattern.rows, problem.hessian_pattern.columns
-    for j in problem.noise:
+    groups = apart(problem)
+    here = part_gradients(problem, unknowns, lam_gaps) if 0 < len(groups) <= _MOST_DIFFERENCES else None
+    if here is None:
+        return np.zeros_like(iterate.hessian)
+    noise = np.array(problem.noise)
+    slopes = np.full((problem.n_unknowns, len(noise)), np.nan)
+    for group in groups:
         there = unknowns.copy()
-        there[j] += _DIFFERENCE
-        slope = (lagrangian_gradient(problem, there, lam_gaps) - here) / _DIFFERENCE
-        if not np.isfinite(slope).all():
-            continue
-        in_column, in_row = columns == j, rows == j
-        entries[in_column] = slope[rows[in_column]]
-        entries[in_row] = slope[columns[in_row]]
-    return entries - iterate.hessian
+        there[noise[group]] += _DIFFERENCE
+        # With several gains at once, the weight must not tell one recording of the others.
+        found = part_gradients(problem, there, lam_gaps, here.weight if len(group) > 1 else None)
+        if found is not None:
+            slopes[:, group] = _slopes(problem, noise[group], here, found)
+    prior = problem.prior.information / problem.likelihood_size * problem.theta_scale**2
+    slopes[noise, np.arange(len(noise))] += prior[noise]
+    entries = iterate.hessian.copy()
+    column_of = np.full(problem.n_unknowns, -1)
+    column_of[noise] = np.arange(len(noise))
+    pattern = problem.hessian_pattern
+    for across, along in ((pattern.columns, pattern.rows), (pattern.rows, pattern.columns)):
+        places = np.flatnonzero(column_of[across] >= 0)
+        slope = slopes[along[places], column_of[across[places]]]
+        known = np.isfinite(slope)
+        entries[places[known]] = slope[known]
+    return np.asarray(entries - iterate.hessian)
+
+
+def apart(problem: Shooting) -> list[list[int]]:
+    """Group the disturbance gains of `Shooting.noise`, by their places there: of a group, each part has one at most."""
+    groups: list[tuple[set[int], list[int]]] = []
+    for place, j in enumerate(problem.noise):
+        felt = {i for i, part in enumerate(problem.parts) if j in part.noise}
+        for taken, group in groups:
+            if taken.isdisjoint(felt):
+                taken |= felt
+                group.append(place)
+                break
+        else:
+            groups.append((felt, [place]))
+    return [group for _, group in groups]
+
+
+def _slopes(problem: Shooting, group: IntArray, here: PartGradients, there: PartGradients) -> FloatArray:
+    """Columns of the Hessian for a group of gains, (n_unknowns, n_group), from gradients before and after a step."""
+    theta = np.zeros((problem.n_theta, len(group)))
+    starts = np.zeros((problem.n_windows, problem.n_states, len(group)))
+    for i, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
+        for column in np.flatnonzero(np.isin(group, part.noise)) if len(group) > 1 else (0,):
+            theta[part.index, column] += (there.by_theta[i] - here.by_theta[i]) / _DIFFERENCE
+            own = slice(first, first + part.blocks.n_windows)
+            starts[own, :, column] = (there.by_start[i] - here.by_start[i]) / _DIFFERENCE
+    return np.concatenate([theta, starts.reshape(-1, len(group))])
