@@ -9,7 +9,7 @@ from fit_cases import KEY, TS, levels, smooth
 import gbid
 from gbid.identify.adjoint import lagrangian_gradient
 from gbid.identify.assembly import assemble
-from gbid.identify.curvature import apart, noise_columns
+from gbid.identify.curvature import apart, entries_of, noise_columns
 from gbid.identify.data import gather
 from gbid.identify.one_window import in_one_window
 from gbid.identify.problem import build_problem
@@ -108,10 +108,10 @@ def test_columns_for_gains_are_second_derivatives(local, joined):
     lam = np.random.default_rng(4).normal(size=shooting.n_gaps)
     noise, groups = shooting.noise, apart(shooting)
     assert len(noise) == 4 + len(local)
-    assert sorted(place for group in groups for place in group) == list(range(len(noise)))
+    assert sorted(j for group in groups for j in group) == list(noise)
     assert len(groups) == 4  # recordings share a pass
     pattern = shooting.hessian_pattern
-    found = shooting.at(unknowns).hessian + noise_columns(shooting, unknowns, lam)
+    found = shooting.at(unknowns).hessian + entries_of(shooting, noise_columns(shooting, unknowns, lam))
 
     def gradient(x, multipliers):
         return shooting.lagrangian_gradient(shooting.at(x), 1.0, multipliers)
@@ -121,7 +121,7 @@ def test_columns_for_gains_are_second_derivatives(local, joined):
     slope = gradient(unknowns, 0 * lam)
     slope[: shooting.n_theta] -= known
     for group in groups:
-        for j in (noise[place] for place in group):
+        for j in group:
             ahead, behind = unknowns.copy(), unknowns.copy()
             ahead[j] += 1e-6
             behind[j] -= 1e-6

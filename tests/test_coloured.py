@@ -5,8 +5,9 @@ import pytest
 
 import gbid
 from gbid.errors import UsageError
+from gbid.identify import curvature
 from gbid.identify.assembly import assemble
-from gbid.identify.curvature import StructuredSecant
+from gbid.identify.curvature import StructuredSecant, held_up
 from gbid.identify.data import gather
 from gbid.identify.one_window import in_one_window, in_windows
 from gbid.identify.problem import build_problem
@@ -138,7 +139,9 @@ def test_windows_joined_and_cut_again_are_the_same_problem(problem):
     np.testing.assert_allclose(gaps[between].ravel(), whole.gaps, atol=1e-9)
 
 
-def test_the_secant_hessian_explains_the_last_step(problem):
+def test_the_secant_hessian_explains_the_last_step(problem, monkeypatch):
+    """Of all parts together, before it is cut."""
+    monkeypatch.setattr(curvature, "held_up", lambda left_out, _: left_out)
     joined, kept = in_one_window(problem[0])
     point, lam = problem[1][kept], np.linspace(-0.1, 0.1, joined.n_gaps)
     step = np.zeros_like(point)
@@ -152,3 +155,27 @@ def test_the_secant_hessian_explains_the_last_step(problem):
     change = joined.lagrangian_gradient(joined.at(point + step), 1.0, lam)
     change = change - joined.lagrangian_gradient(joined.at(point), 1.0, lam)
     np.testing.assert_allclose((hessian @ step)[:n], change[:n], rtol=1e-7, atol=1e-9 * np.abs(change).max())
+
+
+def test_curvature_is_turned_over_and_kept_above_a_hundredth_of_gauss_newtons():
+    random = np.random.default_rng(5)
+    root = random.standard_normal((6, 4))
+    gauss_newton = root @ root.T  # two directions that it knows nothing of
+    ratio = np.diag([-3.0, -1.005, -0.9, 2.0])
+    left_out = root @ ratio @ root.T
+    cut = held_up(left_out, gauss_newton)
+    np.testing.assert_allclose(cut, root @ np.diag([1.0, -0.99, -0.9, 2.0]) @ root.T, atol=1e-9)
+    beside = left_out + np.linalg.svd(root)[0][:, 4:] @ random.standard_normal((2, 6))
+    np.testing.assert_allclose(held_up(beside + beside.T - left_out, gauss_newton), cut, atol=1e-9)
+
+
+def test_small_steps_of_a_wrong_hessian_are_not_taken_for_the_minimum(monkeypatch):
+    right = StructuredSecant.__call__
+
+    def wrong(self, unknowns, lam_f, lam_gaps):
+        return 1e10 * right(self, unknowns, lam_f, lam_gaps)
+
+    monkeypatch.setattr(StructuredSecant, "__call__", wrong)
+    result = gbid.fit(gbid.RotorBearing(), shaken(seconds=2.0, process_noise=ProcessNoise(0.003)), window=391)
+    assert not result.success
+    assert "steps became too small" in result.status

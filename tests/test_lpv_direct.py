@@ -20,7 +20,7 @@ FIXED = dict(PAPER.actuators)
 EXACT = Plant(RotorBearing(delay="exact"), outputs=("p",))
 
 
-def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, rng=None):
+def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, amplitude=1.5e-6, hold_s=4e-3, rng=None):
     """Short recording of a still rig's answer to a PRBS, every key parameter off its surface by a random share."""
     truth = truth_at(*point)
     if scatter:
@@ -33,7 +33,7 @@ def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, rng=None):
     conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
     return record(
         machine,
-        Prbs(amplitude=1.5e-6, hold_s=4e-3, duration_s=n * 2e-4),
+        Prbs(amplitude=amplitude, hold_s=hold_s, duration_s=n * 2e-4),
         conditions=conditions,
         seed=number,
         name=f"r{number}",

@@ -8,14 +8,13 @@ the entries of F, G, C and H are sums of its products with states and regressors
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
-from gbid.identify.shooting import Part, Shooting, spectral_radius
+from gbid.identify.shooting import Part, PartGradient, Shooting, spectral_radius
 from gbid.identify.sweep import from_starts, powers_of, scan
 
 FloatArray = npt.NDArray[np.float64]
@@ -41,35 +40,17 @@ def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: Float
         return np.full(problem.n_unknowns, np.nan)
     theta, _ = problem.unpack(unknowns)
     by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean) * problem.theta_scale
-    for part, own in zip(problem.parts, found.by_theta, strict=True):
-        by_theta[part.index] += own
-    by_start = np.concatenate(found.by_start)
+    for part, own in zip(problem.parts, found, strict=True):
+        by_theta[part.index] += own.theta
+    by_start = np.concatenate([own.starts for own in found])
     by_start[problem.links[:, 1]] -= lam_gaps.reshape(-1, problem.n_states)
     return np.concatenate([by_theta, by_start.ravel()])
 
 
-class PartGradients(NamedTuple):
-    """What each part adds to the gradient of the Lagrangian, scaled.
-
-    Attributes
-    ----------
-    by_theta : list of (n_p,) array
-        By the parameters at the part's `index`.
-    by_start : list of (n_windows, n) array
-        By its windows' starts, where other windows that end there are left out.
-    weight : (n_y, n_y) array
-        Of the squared errors, all parts together.
-    """
-
-    by_theta: list[FloatArray]
-    by_start: list[FloatArray]
-    weight: FloatArray
-
-
 def part_gradients(
     problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, weight: FloatArray | None = None
-) -> PartGradients | None:
-    """Gradient of the Lagrangian part by part, without the prior; None where the problem has no value.
+) -> list[PartGradient] | None:
+    """Gradient of the Lagrangian part by part, as `Shooting.gradients_by_part` has it; None where there is no value.
 
     Parameters
     ----------
@@ -98,13 +79,12 @@ def part_gradients(
         weight = problem.weight(products)
     last = np.zeros_like(starts)
     last[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
-    found = PartGradients([], [], weight)
+    found = []
     for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
         sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, last[own])
         by_own = _by_parameters(v, sums)
         by_index = by_own if part.tie is None else part.tie.T @ by_own
-        found.by_theta.append(by_index * problem.theta_scale[part.index])
-        found.by_start.append(start * problem.state_scale)
+        found.append(PartGradient(by_index * problem.theta_scale[part.index], start * problem.state_scale))
     return found
 
 

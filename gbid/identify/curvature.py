@@ -7,19 +7,21 @@ direction, and Gauss-Newton creeps along it.
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.adjoint import PartGradients, part_gradients
+from gbid.identify.adjoint import part_gradients
 from gbid.identify.shooting import Iterate, Shooting
 
 FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 _REFRESH = 2  # iterations for which the columns of the disturbance gain serve
 _DIFFERENCE = 1e-5  # step of a difference, in units in which the cost has curvature one
 _MOST_DIFFERENCES = 8  # passes; with more they cost more than they save
+_LEAST = 0.01  # of Gauss-Newton's curvature
+_FLAT = 1e-12  # of the largest: parameters that a part does not tell apart
 _WORTHLESS = 1e-8  # cosine below which a step says nothing about the curvature along it
 
 
@@ -42,121 +44,173 @@ class GaussNewton:
         return np.asarray(lam_f * self._problem.at(unknowns).hessian)
 
 
+class LeftOut(NamedTuple):
+    """What Gauss-Newton leaves out of the Hessian of a part, scaled.
+
+    Attributes
+    ----------
+    theta : (n_p, n_p) array
+        Of the parameters at the part's `index`.
+    mixed : (n_windows, n_p, n) array
+        Of these and the starts of its windows.
+    """
+
+    theta: FloatArray
+    mixed: FloatArray
+
+
 class StructuredSecant:
     """Gauss-Newton, columns for the disturbance gain made anew every few iterations, and secant updates of the rest.
 
     The updates are of rank one (SR1), of the parameters' block: they follow negative curvature, too, on which the
-    solver shifts the Hessian itself.
+    solver shifts the Hessian itself. Each recording with parameters of its own learns for itself, as it depends on few
+    of the unknowns, and among several is made convex by itself (`held_up`): else the solver would shift the whole
+    Hessian for the sake of one.
 
     Notes
     -----
     With the step s and the change y of the Lagrangian's gradient over it, both at the last multipliers, and B the
     Hessian so far at the new point, ``r = y - B s`` is what it does not explain; ``B + r r' / (r' s)`` does
-    (Nocedal and Wright, Numerical Optimization, Sec. 6.2; structured, after Dennis, Gay and Welsch, 1981).
+    (Nocedal and Wright, Numerical Optimization, Sec. 6.2; structured, after Dennis, Gay and Welsch, 1981; by parts,
+    after Griewank and Toint, 1982).
     """
 
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
-        self._base: FloatArray = np.zeros(0)
+        self._columns: list[LeftOut] = []
         self._calls = 0
-        self._learned = np.zeros((problem.n_theta, problem.n_theta))
+        self._learned = [np.zeros((len(part.index),) * 2) for part in problem.parts]
         self._before: tuple[FloatArray, Iterate] | None = None
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
         """Evaluate at the solver's next point, and learn from the step to it."""
-        problem, pattern = self._problem, self._problem.hessian_pattern
+        problem = self._problem
         if self._calls % _REFRESH == 0:
-            self._base = noise_columns(problem, unknowns, lam_gaps)
+            self._columns = noise_columns(problem, unknowns, lam_gaps)
         self._calls += 1
         here = problem.at(unknowns)
-        entries = here.hessian + self._base
+        if not here.sweeps:
+            return np.asarray(lam_f * here.hessian)
         if self._before is not None:
-            self._learn(unknowns, here, entries, lam_gaps)
+            self._learn(unknowns, here, lam_gaps)
         self._before = unknowns.copy(), here
-        block = np.flatnonzero(pattern.columns < problem.n_theta)
-        entries[block] += self._learned[pattern.rows[block], pattern.columns[block]]
-        return np.asarray(lam_f * entries)
+        left_out = [
+            LeftOut(columns.theta + learned, columns.mixed)
+            for columns, learned in zip(self._columns, self._learned, strict=True)
+        ]
+        if len(left_out) > 1:
+            kept = self._gauss_newton(here)
+            left_out = [LeftOut(held_up(own.theta, gn), own.mixed) for own, gn in zip(left_out, kept, strict=True)]
+        return np.asarray(lam_f * (here.hessian + entries_of(problem, left_out)))
 
-    def _learn(self, unknowns: FloatArray, here: Iterate, entries: FloatArray, lam_gaps: FloatArray) -> None:
-        """Take in what the last step says; `entries` are those without what was learned before."""
-        problem, pattern = self._problem, self._problem.hessian_pattern
+    def _gauss_newton(self, here: Iterate) -> list[FloatArray]:
+        """Gauss-Newton's Hessian of each part's parameters, scaled."""
+        scales = [self._problem.theta_scale[part.index] for part in self._problem.parts]
+        return [here.factor * s.hessian * np.outer(t, t) for s, t in zip(here.sweeps, scales, strict=True)]
+
+    def _learn(self, unknowns: FloatArray, here: Iterate, lam_gaps: FloatArray) -> None:
+        """Take in what the last step says of each part."""
+        problem = self._problem
         assert self._before is not None
         origin, there = self._before
         step = unknowns - origin
-        change = problem.lagrangian_gradient(here, 1.0, lam_gaps) - problem.lagrangian_gradient(there, 1.0, lam_gaps)
-        n, rows, columns = problem.n_theta, pattern.rows, pattern.columns
-        explained = np.bincount(rows, entries * step[columns], minlength=len(step))
-        beside = rows != columns
-        explained += np.bincount(columns[beside], (entries * step[rows])[beside], minlength=len(step))
-        own = step[:n]
-        left = (change - explained)[:n] - self._learned @ own
-        along = float(left @ own)
-        if abs(along) > _WORTHLESS * float(np.linalg.norm(left) * np.linalg.norm(own)):
-            self._learned += np.outer(left, left) / along
+        starts = step[problem.n_theta :].reshape(-1, problem.n_states)
+        new, old = (problem.gradients_by_part(point, lam_gaps) for point in (here, there))
+        t, x = problem.theta_scale, problem.state_scale
+        for i, (part, s, kept) in enumerate(zip(problem.parts, here.sweeps, self._gauss_newton(here), strict=True)):
+            own, columns = step[part.index], self._columns[i]
+            first = problem.first_window[i]
+            mixed = columns.mixed + s.hessian_mixed * (here.factor * t[part.index, None] * x)
+            explained = (kept + columns.theta + self._learned[i]) @ own
+            explained += np.einsum("wpn,wn->p", mixed, starts[first : first + part.blocks.n_windows])
+            left = new[i].theta - old[i].theta - explained
+            along = float(left @ own)
+            if abs(along) > _WORTHLESS * float(np.linalg.norm(left) * np.linalg.norm(own)):
+                self._learned[i] += np.outer(left, left) / along
 
 
-def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
-    """Add this to the Gauss-Newton Hessian of the Lagrangian to have exact columns for the disturbance gain.
+def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
+    """Turn over what is left out where it takes more than all of Gauss-Newton's curvature, and keep some of that.
+
+    Parameters
+    ----------
+    left_out, gauss_newton : (n, n) array
+        Symmetric; `gauss_newton` has no negative curvature, and where it has none, nothing is left out.
+
+    Returns
+    -------
+    (n, n) array
+        What makes of each curvature its size, at least `_LEAST` of Gauss-Newton's.
+    """
+    size, axes = np.linalg.eigh(gauss_newton)
+    there = size > _FLAT * size[-1]
+    root = np.sqrt(size[there])
+    inward, outward = axes[:, there] / root, axes[:, there] * root
+    ratio, along = np.linalg.eigh(inward.T @ left_out @ inward)
+    outward = outward @ along
+    return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
+
+
+def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[LeftOut]:
+    """Return what Gauss-Newton lacks of exact columns for the disturbance gain, part by part.
 
     What the disturbance gain does to the predictions is made of the errors themselves, so the second derivatives
     that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences of the Lagrangian's
     gradient; gains of different recordings share one, since each recording feels its own alone.
 
-    Returns
-    -------
-    (n_nonzeros,) array
-        Entries where `Shooting.hessian_pattern` has them.
+    Parameters
+    ----------
+    problem : Shooting
+    unknowns : (n_unknowns,) array
+        Scaled.
+    lam_gaps : (n_gaps,) array
     """
-    iterate = problem.at(unknowns)
-    groups = apart(problem)
-    here = part_gradients(problem, unknowns, lam_gaps) if 0 < len(groups) <= _MOST_DIFFERENCES else None
-    if here is None:
-        return np.zeros_like(iterate.hessian)
-    noise = np.array(problem.noise)
-    slopes = np.full((problem.n_unknowns, len(noise)), np.nan)
+    shapes = [(part.blocks.n_windows, len(part.index), problem.n_states) for part in problem.parts]
+    found = [LeftOut(np.zeros((n_p, n_p)), np.zeros((n_w, n_p, n))) for n_w, n_p, n in shapes]
+    groups, iterate = apart(problem), problem.at(unknowns)
+    if len(groups) > _MOST_DIFFERENCES or not iterate.sweeps:
+        return found
+    here = problem.gradients_by_part(iterate, lam_gaps)
+    weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
+    t, x = problem.theta_scale, problem.state_scale
     for group in groups:
-        there = unknowns.copy()
-        there[noise[group]] += _DIFFERENCE
+        moved = unknowns.copy()
+        moved[group] += _DIFFERENCE
         # With several gains at once, the weight must not tell one recording of the others.
-        found = part_gradients(problem, there, lam_gaps, here.weight if len(group) > 1 else None)
-        if found is not None:
-            slopes[:, group] = _slopes(problem, noise[group], here, found)
-    prior = problem.prior.information / problem.likelihood_size * problem.theta_scale**2
-    slopes[noise, np.arange(len(noise))] += prior[noise]
-    entries = iterate.hessian.copy()
-    column_of = np.full(problem.n_unknowns, -1)
-    column_of[noise] = np.arange(len(noise))
-    pattern = problem.hessian_pattern
-    for across, along in ((pattern.columns, pattern.rows), (pattern.rows, pattern.columns)):
-        places = np.flatnonzero(column_of[across] >= 0)
-        slope = slopes[along[places], column_of[across[places]]]
-        known = np.isfinite(slope)
-        entries[places[known]] = slope[known]
-    return np.asarray(entries - iterate.hessian)
+        there = part_gradients(problem, moved, lam_gaps, weight if len(group) > 1 else None)
+        if there is None:
+            continue
+        for i, (part, s) in enumerate(zip(problem.parts, iterate.sweeps, strict=True)):
+            for place in np.flatnonzero(np.isin(part.index, np.intersect1d(group, part.noise))):
+                scale = iterate.factor * t[part.index] * t[part.index[place]]
+                column = (there[i].theta - here[i].theta) / _DIFFERENCE - s.hessian[:, place] * scale
+                mixed = (there[i].starts - here[i].starts) / _DIFFERENCE
+                mixed -= s.hessian_mixed[:, place] * (iterate.factor * t[part.index[place]] * x)
+                if np.isfinite(column).all() and np.isfinite(mixed).all():
+                    found[i].theta[:, place] = found[i].theta[place] = column
+                    found[i].mixed[:, place] = mixed
+    return found
 
 
 def apart(problem: Shooting) -> list[list[int]]:
-    """Group the disturbance gains of `Shooting.noise`, by their places there: of a group, each part has one at most."""
+    """Group the disturbance gains of `Shooting.noise`: of a group, each part has one at most."""
     groups: list[tuple[set[int], list[int]]] = []
-    for place, j in enumerate(problem.noise):
+    for j in problem.noise:
         felt = {i for i, part in enumerate(problem.parts) if j in part.noise}
         for taken, group in groups:
             if taken.isdisjoint(felt):
                 taken |= felt
-                group.append(place)
+                group.append(j)
                 break
         else:
-            groups.append((felt, [place]))
+            groups.append((felt, [j]))
     return [group for _, group in groups]
 
 
-def _slopes(problem: Shooting, group: IntArray, here: PartGradients, there: PartGradients) -> FloatArray:
-    """Columns of the Hessian for a group of gains, (n_unknowns, n_group), from gradients before and after a step."""
-    theta = np.zeros((problem.n_theta, len(group)))
-    starts = np.zeros((problem.n_windows, problem.n_states, len(group)))
-    for i, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
-        for column in np.flatnonzero(np.isin(group, part.noise)) if len(group) > 1 else (0,):
-            theta[part.index, column] += (there.by_theta[i] - here.by_theta[i]) / _DIFFERENCE
-            own = slice(first, first + part.blocks.n_windows)
-            starts[own, :, column] = (there.by_start[i] - here.by_start[i]) / _DIFFERENCE
-    return np.concatenate([theta, starts.reshape(-1, len(group))])
+def entries_of(problem: Shooting, left_out: Sequence[LeftOut]) -> FloatArray:
+    """Entries where `Shooting.hessian_pattern` has them, the sum of all parts."""
+    theta = np.zeros((problem.n_theta, problem.n_theta))
+    for part, own in zip(problem.parts, left_out, strict=True):
+        theta[np.ix_(part.index, part.index)] += own.theta
+    nothing = [np.zeros((len(own.mixed), problem.n_states, problem.n_states)) for own in left_out]
+    return problem.hessian_entries(theta, [own.mixed for own in left_out], nothing)

@@ -8,6 +8,7 @@ Jacobian and Gauss-Newton Hessian of an iterate.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -82,6 +83,10 @@ class Iterate(NamedTuple):
         Entries of the Jacobian of the gaps, where `Shooting.jacobian_pattern` has them.
     hessian : (n_nonzeros,) array
         Entries of the upper triangle, where `Shooting.hessian_pattern` has them.
+    sweeps : tuple of Sweep
+        What the pass says of each part, in physical units; empty where the problem has no value.
+    factor : float
+        What brings the sums of a sweep to the scale of the cost.
     """
 
     cost: float
@@ -89,6 +94,23 @@ class Iterate(NamedTuple):
     gaps: FloatArray
     jacobian: FloatArray
     hessian: FloatArray
+    sweeps: tuple[Sweep, ...]
+    factor: float
+
+
+class PartGradient(NamedTuple):
+    """What a part adds to the gradient of the Lagrangian, scaled, without the prior.
+
+    Attributes
+    ----------
+    theta : (n_p,) array
+        By the parameters at the part's `index`.
+    starts : (n_windows, n) array
+        By its windows' starts; that another window is to end there is left out.
+    """
+
+    theta: FloatArray
+    starts: FloatArray
 
 
 class Pattern(NamedTuple):
@@ -266,6 +288,20 @@ class Shooting:
         weighted = iterate.jacobian * lam_gaps[pattern.rows]
         return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))
 
+    def gradients_by_part(self, iterate: Iterate, lam_gaps: FloatArray) -> list[PartGradient]:
+        """Gradient of ``cost + lam_gaps' gaps`` part by part at an evaluated point."""
+        t, x, factor = self.theta_scale, self.state_scale, iterate.factor
+        ends_in = np.zeros((self.n_windows, self.n_states))
+        ends_in[self.links[:, 0]] = lam_gaps.reshape(-1, self.n_states) / x
+        found = []
+        for s, part, a, b in zip(
+            iterate.sweeps, self.parts, self.first_window[:-1], self.first_window[1:], strict=True
+        ):
+            theta = factor * s.gradient + np.einsum("wnp,wn->p", s.end_theta, ends_in[a:b])
+            starts = factor * s.gradient_start + np.einsum("wnm,wn->wm", s.end_start, ends_in[a:b])
+            found.append(PartGradient(theta * t[part.index], starts * x))
+        return found
+
     @cached_property
     def jacobian_pattern(self) -> Pattern:
         """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
@@ -362,9 +398,8 @@ class Shooting:
     ) -> Iterate:
         """Put the parts' sums in their places, scaled."""
         t, x = self.theta_scale, self.state_scale
-        upper = np.triu_indices(self.n_states)
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
-        starts_gradient, arrow, jacobian = [], [], []
+        starts_gradient, mixed, own, jacobian = [], [], [], []
         ends = np.concatenate([s.end for s in sweeps])
         for s, part, (_, windows, _), first in zip(
             sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
@@ -372,9 +407,8 @@ class Shooting:
             gradient[part.index] += s.gradient
             hessian[np.ix_(part.index, part.index)] += s.hessian
             starts_gradient.append(s.gradient_start * (factor * x))
-            mixed = s.hessian_mixed * (factor * t[part.index, None] * x)
-            start = s.hessian_start * (factor * np.outer(x, x))
-            arrow += [mixed.ravel(), start[:, upper[0], upper[1]].ravel()]
+            mixed.append(s.hessian_mixed * (factor * t[part.index, None] * x))
+            own.append(s.hessian_start * (factor * np.outer(x, x)))
             local = windows - first
             jacobian += [
                 (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
@@ -384,19 +418,36 @@ class Shooting:
         known = self.prior.information / self.likelihood_size
         gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
         gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
-        hessian_entries = np.concatenate([(hessian * np.outer(t, t))[self._theta_pairs], *arrow])
         jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
         return Iterate(
             self.cost(products) + 0.5 * float(known @ away**2),
             np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
             gaps.ravel(),
             jacobian_entries[self.jacobian_pattern.order],
-            hessian_entries[self.hessian_pattern.order],
+            self.hessian_entries(hessian * np.outer(t, t), mixed, own),
+            tuple(sweeps),
+            factor,
         )
+
+    def hessian_entries(
+        self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
+    ) -> FloatArray:
+        """Entries where `hessian_pattern` has them, from blocks of the parameters (n_theta, n_theta) and of each part.
+
+        `mixed` are (n_windows, n_p, n), `starts` (n_windows, n, n).
+        """
+        rows, columns = np.triu_indices(self.n_states)
+        arrow = [
+            entries
+            for m, own in zip(mixed, starts, strict=True)
+            for entries in (m.ravel(), own[:, rows, columns].ravel())
+        ]
+        return np.asarray(np.concatenate([theta[self._theta_pairs], *arrow])[self.hessian_pattern.order])
 
     def _invalid(self) -> Iterate:
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
-        return Iterate(np.nan, *(np.full(size, np.nan) for size in sizes))
+        gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
+        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
 
 
 def spectral_radius(values: list[PredictorValues]) -> float:

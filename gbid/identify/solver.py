@@ -102,13 +102,13 @@ def solve(
         After Ctrl-C, once the iteration under way has ended.
     """
     with _interruptible() as interrupt:
-        watch = Watch(problem, stop, progress, interrupt, changes_over=True)
+        watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
         first = _run(problem, watch, (start, lower, upper), tolerance, max_iterations, GaussNewton(problem))
         if not watch.creeping:
             return first
         joined, kept = in_one_window(problem)
-        watch = Watch(joined, stop, progress, interrupt, earlier=first.history)
         box = (first.unknowns[kept], lower[kept], upper[kept])
+        watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
         last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, StructuredSecant(joined))
     return replace(
         last,
@@ -217,6 +217,8 @@ def _in_words(status: str, watch: Watch) -> tuple[str, bool]:
             return f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
         if watch.unstable >= PATIENCE:
             return UNSTABLE, False
+        if watch.stuck >= PATIENCE:
+            return _WORDS["Search_Direction_Becomes_Too_Small"], False
         if watch.at_rest:
             return "converged", True
         if watch.exact:

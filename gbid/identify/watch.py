@@ -17,7 +17,10 @@ Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
 _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
-PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too
+PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too, or stand still
+_STEP_AHEAD = 1e-2  # of the same: what Gauss-Newton may still want, which is a part of what is needed or more
+_ROUNDING = 1e-12  # of the largest curvature: for unknowns that the data do not tell
+_AT_BOUND = 1e-4  # scaled
 _NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
 _NEAR_GAP = 0.1
 _AHEAD = 7  # iterations that are worth a change of method
@@ -66,6 +69,7 @@ class Watch(ca.Callback):
         stop: Stop,
         progress: Callable[[Progress], None] | None,
         interrupt: Interrupt,
+        box: tuple[FloatArray, FloatArray],
         *,
         earlier: Sequence[Progress] = (),
         changes_over: bool = False,
@@ -79,12 +83,13 @@ class Watch(ca.Callback):
             for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
         ]
         self.history: list[Progress] = []
-        self._earlier, self._changes_over = tuple(earlier), changes_over
+        self._box, self._earlier, self._changes_over = box, tuple(earlier), changes_over
         self.settled = False
         self.exact = False
         self.at_rest = False
         self.creeping = False
         self.unstable = 0
+        self.stuck = 0
         self._previous: FloatArray | None = None
         self._sigma = np.inf
         self.construct("watch", {})
@@ -120,14 +125,39 @@ class Watch(ca.Callback):
         self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
         # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
         small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
-        self.at_rest = small and self._stop == "tolerance"
+        still = small and self._stop == "tolerance"
+        self.at_rest = still and self._nothing_to_gain(x)
+        self.stuck = self.stuck + 1 if still and not self.at_rest else 0
         near = sigma < _NEAR and now.gap < _NEAR_GAP
         self.creeping = self._changes_over and near and _iterations_ahead(sigma, self._sigma) > _AHEAD
         self.creeping = self.creeping and self._radius(x) < 1
         self._previous, self._sigma = x, sigma
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
         ended = self.settled or self.exact or self.at_rest or self.creeping
-        return [int(self.interrupt.pressed or ended or self.unstable >= PATIENCE)]
+        given_up = max(self.unstable, self.stuck) >= PATIENCE
+        return [int(self.interrupt.pressed or ended or given_up)]
+
+    def _nothing_to_gain(self, x: FloatArray) -> bool:
+        """Whether Gauss-Newton would hardly move from here.
+
+        Where the solver has another Hessian, its steps may be small as this is wrong, not as the minimum is reached.
+        """
+        if self._changes_over:
+            return True
+        problem, iterate = self._problem, self._problem.at(x)
+        n, m = problem.n_unknowns, problem.n_gaps
+        system = np.zeros((n + m, n + m))
+        upper, across = problem.hessian_pattern, problem.jacobian_pattern
+        system[upper.rows, upper.columns] = system[upper.columns, upper.rows] = iterate.hessian
+        system[n + across.rows, across.columns] = system[across.columns, n + across.rows] = iterate.jacobian
+        system[np.arange(n), np.arange(n)] += _ROUNDING * iterate.hessian.max()
+        lowest, highest = self._box
+        free = (x > lowest + _AT_BOUND) & (x < highest - _AT_BOUND)
+        kept = np.concatenate([free, np.ones(m, dtype=bool)])
+        slope = np.concatenate([iterate.gradient, iterate.gaps])
+        step = np.zeros(n)
+        step[free] = np.linalg.solve(system[np.ix_(kept, kept)], -slope[kept])[: np.count_nonzero(free)]
+        return self._in_standard_deviations(x, step) < _STEP_AHEAD
 
     def _radius(self, x: FloatArray) -> float:
         theta, _ = self._problem.unpack(x)
