@@ -121,6 +121,21 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
         )
 
 
+def test_delays_of_recordings_are_kept_from_below_zero(scattered):
+    """No bound of an unknown says so: the solver has constraints for it, and finds one minimum from two starts."""
+    moved = {key: tuple(1.01 * c for c in values) for key, values in PAPER.coefficients.items()}
+    ends, steps = [], []
+    for start in (PAPER, replace(PAPER, coefficients=moved)):
+        options = {"structure": EXACT, "focus": "simulation", "fixed": FIXED, "scatter": False}
+        found = gbid.fit_lpv_direct(scattered, start, progress=steps.append, **options)
+        assert found.success
+        ends.append(steps[-1].cost)
+    assert ends[1] == pytest.approx(ends[0], abs=1e-8)
+    delays = [found.model.key_parameters(*point)[key] for point in POINTS for key in ("tau_x", "tau_y")]
+    lowest = next(q.lower for q in EXACT.parameters if q.name == "tau_y")
+    assert lowest < min(delays) < lowest + 1e-8  # one of them is there
+
+
 def test_truth_lies_within_three_standard_deviations(scattered):
     """And a machine taken for one that repeats itself is off by far more: its moving resonance passes for damping."""
     rng = np.random.default_rng(3)

@@ -303,6 +303,31 @@ class Shooting:
         return found
 
     @cached_property
+    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Bounds of parameters that are tied, as no bound of an unknown says them.
+
+        Returns
+        -------
+        (n_limits, n_theta) array
+            Makes the parameters of the scaled unknowns, in units of their own scales.
+        (n_limits,) array, (n_limits,) array
+            Their bounds.
+        """
+        rows, lower, upper = [], [], []
+        for part in self.parts:
+            if part.tie is None:
+                continue
+            for q, tie in zip(part.predictor.free, part.tie, strict=True):
+                row = np.zeros(self.n_theta)
+                row[part.index] = tie * self.theta_scale[part.index]
+                size = float(np.abs(row).max())
+                if size > 0 and np.isfinite([q.lower, q.upper]).any():
+                    rows.append(row / size)
+                    lower.append(q.lower / size)
+                    upper.append(q.upper / size)
+        return np.array(rows).reshape(-1, self.n_theta), np.array(lower), np.array(upper)
+
+    @cached_property
     def jacobian_pattern(self) -> Pattern:
         """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
         n, n_t = self.n_states, self.n_theta

@@ -130,7 +130,10 @@ def _run(
     start, lower, upper = box
     solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature)
     if not watch.interrupt.pressed:
-        result = solver(x0=start, lbx=lower, ubx=upper, lbg=0.0, ubg=0.0)
+        closed = np.zeros(problem.n_gaps)
+        _, lowest, highest = problem.limits
+        bounds = {"lbg": np.concatenate([closed, lowest]), "ubg": np.concatenate([closed, highest])}
+        result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
     if watch.interrupt.pressed:
         raise KeyboardInterrupt
     unknowns = np.asarray(result["x"], float).ravel()
@@ -146,10 +149,12 @@ def _ipopt(
     """Build the solver; also return the callbacks, which must outlive it."""
     n, m = problem.n_unknowns, problem.n_gaps
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
-    gaps = ca.Sparsity.dense(m, 1)
-    jacobian, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
+    limits = ca.sparsify(ca.DM(np.pad(problem.limits[0], ((0, 0), (0, n - problem.n_theta)))))
+    constraints = ca.Sparsity.dense(m + limits.rows(), 1)
+    gaps, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
+    jacobian = ca.vertcat(gaps, limits.sparsity())
     point = [("x", vector), ("p", empty)]
-    multipliers = [("lam_f", scalar), ("lam_g", gaps)]
+    multipliers = [("lam_f", scalar), ("lam_g", constraints)]
 
     def flat(values: ca.DM) -> FloatArray:
         return np.asarray(values, float).ravel()
@@ -157,10 +162,10 @@ def _ipopt(
     def at(x: ca.DM) -> Iterate:
         return problem.at(flat(x))
 
-    def column(values: FloatArray) -> ca.DM:
-        return ca.DM(gaps, values)
+    def held(x: ca.DM) -> ca.DM:
+        return ca.vertcat(ca.DM(at(x).gaps), limits @ x)
 
-    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", gaps)], lambda x: [at(x).cost, column(at(x).gaps)])
+    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], lambda x: [at(x).cost, held(x)])
     gradient = Oracle(
         "grad_f",
         point,
@@ -170,14 +175,14 @@ def _ipopt(
     jac = Oracle(
         "jac_g",
         point,
-        [("g", gaps), ("jac_g_x", jacobian)],
-        lambda x, _p: [column(at(x).gaps), ca.DM(jacobian, at(x).jacobian)],
+        [("g", constraints), ("jac_g_x", jacobian)],
+        lambda x, _p: [held(x), ca.vertcat(ca.DM(gaps, at(x).jacobian), limits)],
     )
     hess = Oracle(
         "hess_lag",
         point + multipliers,
         [("triu_hess_gamma_x_x", hessian)],
-        lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)))],
+        lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)[:m]))],
     )
     x = ca.MX.sym("x", n)
     f, g = value(x)

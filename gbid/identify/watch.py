@@ -76,7 +76,7 @@ class Watch(ca.Callback):
     ) -> None:
         ca.Callback.__init__(self)
         self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
-        n, m = problem.n_unknowns, problem.n_gaps
+        n, m = problem.n_unknowns, problem.n_gaps + len(problem.limits[0])
         sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
         self._shapes = [
             ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
@@ -109,7 +109,7 @@ class Watch(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
         values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
         x = np.asarray(values["x"], float).ravel()
-        gaps = np.asarray(values["g"], float)
+        gaps = np.asarray(values["g"], float).ravel()[: self._problem.n_gaps]
         step = sigma = np.inf
         if self._previous is not None:
             moved, n_theta = x - self._previous, self._problem.n_theta
@@ -145,16 +145,22 @@ class Watch(ca.Callback):
         if self._changes_over:
             return True
         problem, iterate = self._problem, self._problem.at(x)
-        n, m = problem.n_unknowns, problem.n_gaps
+        limits, low, high = problem.limits
+        values = limits @ x[: problem.n_theta]
+        met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+        n, m = problem.n_unknowns, problem.n_gaps + len(met)
         system = np.zeros((n + m, n + m))
         upper, across = problem.hessian_pattern, problem.jacobian_pattern
         system[upper.rows, upper.columns] = system[upper.columns, upper.rows] = iterate.hessian
         system[n + across.rows, across.columns] = system[across.columns, n + across.rows] = iterate.jacobian
-        system[np.arange(n), np.arange(n)] += _ROUNDING * iterate.hessian.max()
+        system[n + problem.n_gaps :, : problem.n_theta] = met
+        system[: problem.n_theta, n + problem.n_gaps :] = met.T
+        round_off = _ROUNDING * iterate.hessian.max()
+        system[np.arange(n + m), np.arange(n + m)] += np.repeat([round_off, -round_off], [n, m])
         lowest, highest = self._box
         free = (x > lowest + _AT_BOUND) & (x < highest - _AT_BOUND)
         kept = np.concatenate([free, np.ones(m, dtype=bool)])
-        slope = np.concatenate([iterate.gradient, iterate.gaps])
+        slope = np.concatenate([iterate.gradient, iterate.gaps, np.zeros(len(met))])
         step = np.zeros(n)
         step[free] = np.linalg.solve(system[np.ix_(kept, kept)], -slope[kept])[: np.count_nonzero(free)]
         return self._in_standard_deviations(x, step) < _STEP_AHEAD
