@@ -206,6 +206,10 @@ def test_warnings_name_what_fell_short(page):
     assert "no controller was designed" in page[page.index('id="left-out"') :]
 
 
+def test_notes_of_the_prefilter_tell_how_many_recordings_carry_them(page):
+    assert "2 of 4 recordings: the shaft stood still" in page
+
+
 def test_lost_fits_are_named_with_reasons(job, tmp_path):
     results = tmp_path / "results"
     shutil.copytree(job.experiment.results, results)

@@ -86,8 +86,12 @@ def _prefilter(gathered: Gathered) -> list[Block]:
     if worse:
         names = ", ".join(dict.fromkeys(row["recording"] for row in worse))
         blocks.append(Words(f"The run-out map made the position larger in {names}: it may not belong to them.", "warn"))
-    notes = list(dict.fromkeys(note for row in rows for note in row["notes"]))
-    if notes:
-        blocks.append(Listed(notes))
+    carried: dict[str, set[str]] = {}
+    for row in rows:
+        for note in row["notes"]:
+            carried.setdefault(note, set()).add(row["recording"])
+    every = len({row["recording"] for row in rows})
+    if carried:
+        blocks.append(Listed([f"{len(names)} of {every} recordings: {note}" for note, names in carried.items()]))
     blocks.append(Fold(f"Prefilter, {len(rows)} channels", [table]) if len(rows) > 12 else table)
     return blocks

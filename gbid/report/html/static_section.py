@@ -53,7 +53,7 @@ def _map(results: Results, pictures: Pictures) -> list[Block]:
         for row in static_document("", found)["gains"]
     ]
     columns = ("static gain", "value", "std", "rms off linear [µm]", "largest [µm]", "hysteresis [µm]")
-    alt = f"Steady disc position over piezo position {place}: rising and falling plateaus with a straight line"
+    alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
     blocks: list[Block] = [
         Shown(pictures.picture(plot_static_map(static_map_data(found), title=place), alt)),
         Table(f"From piezo to disc, {len(found.command)} plateaus, {place}", columns, rows),
