@@ -12,10 +12,9 @@ from gbid.discretise import Dual
 from gbid.identify.assembly import Assembly
 from gbid.identify.covariance import Covariance, covariance
 from gbid.identify.data import FitData
-from gbid.identify.predictor import PredictorValues
 from gbid.identify.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.result import FitResult
-from gbid.identify.shooting import Shooting, spectral_radius
+from gbid.identify.shooting import Shooting
 from gbid.identify.solver import Solution
 from gbid.identify.whiteness import whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
@@ -26,7 +25,6 @@ _COLOURED = 0.01  # probability below which residuals do not count as white, sha
 _MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
 _NEAR = 1e-6  # of a parameter's scale: it lies on its bound
 _NEAR_IN_STD = 1e-3  # so does one that is nearer to it than this part of its standard deviation
-_EDGE = 0.02  # of the stability margin of the model itself
 _OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
 
 
@@ -127,7 +125,7 @@ def outcome(
         wall_time_s=0.0,
         start={name: begin[name] for name in estimates},
         start_origin={name: origin.get(name.partition("[")[0], "structure") for name in estimates},
-        notes=(*_notes(assembly, begin, free, on_bound, found, trusted), *_edge_note(problem, values, model)),
+        notes=(*_notes(assembly, begin, free, on_bound, found, trusted), *_edge_note(problem, theta)),
         options=options,
         model=model,
         sample_time=data.sample_time,
@@ -223,12 +221,8 @@ def _notes(
     return (*notes, *assembly.notes)
 
 
-def _edge_note(problem: Shooting, values: list[PredictorValues], model: LinearModel) -> tuple[str, ...]:
-    """Say when the predictor has come so near to instability that its gain is no estimate."""
-    if not (problem.noise and problem.stable_only):
-        return ()
-    own = 1 - float(np.exp(problem.parts[0].predictor.sample_time * model.poles().real.max()))
-    if 1 - spectral_radius(values) > _EDGE * own:
+def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
+    if not problem.at_edge(theta):
         return ()
     return (
         "the disturbance gain lies at the edge of an unstable predictor: the record is too short to tell it; "

@@ -25,6 +25,7 @@ FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
+_EDGE = 0.02  # of the stability margin of the model itself
 _WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
 
 
@@ -301,6 +302,17 @@ class Shooting:
             starts = factor * s.gradient_start + np.einsum("wnm,wn->wm", s.end_start, ends_in[a:b])
             found.append(PartGradient(theta * t[part.index], starts * x))
         return found
+
+    def at_edge(self, theta: FloatArray) -> bool:
+        """Whether a predictor has come so near to instability that its disturbance gain is no estimate."""
+        if not (self.noise and self.stable_only):
+            return False
+        for part, values in zip(self.parts, self.values(theta), strict=True):
+            own = np.array(part.own(theta))
+            own[list(part.predictor.noise)] = 0.0
+            if 1 - spectral_radius([values]) <= _EDGE * (1 - spectral_radius([part.predictor.at(own)])):
+                return True
+        return False
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:

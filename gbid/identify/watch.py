@@ -141,10 +141,11 @@ class Watch(ca.Callback):
         """Whether Gauss-Newton would hardly move from here.
 
         Where the solver has another Hessian, its steps may be small as this is wrong, not as the minimum is reached.
+        At the edge of an unstable predictor there is no minimum to reach, which the result says.
         """
-        if self._changes_over:
-            return True
         problem, iterate = self._problem, self._problem.at(x)
+        if self._changes_over or problem.at_edge(problem.unpack(x)[0]):
+            return True
         limits, low, high = problem.limits
         values = limits @ x[: problem.n_theta]
         met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
