@@ -2,6 +2,7 @@
 
 import csv
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -66,6 +67,12 @@ def workers_of(process: subprocess.Popen) -> list[int]:
         return [int(c) for c in children if b"resource_tracker" not in Path(f"/proc/{c}/cmdline").read_bytes()]
     except OSError:
         return []
+
+
+def interrupts_blocked(pid: int) -> bool:
+    """Whether Ctrl-C does not reach a process, not even while it starts."""
+    mask = re.search(r"SigBlk:\s*(\w+)", Path(f"/proc/{pid}/status").read_text())
+    return mask is not None and bool(int(mask[1], 16) & 1 << (signal.SIGINT - 1))
 
 
 def alive(pid: int) -> bool:

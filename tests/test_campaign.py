@@ -16,7 +16,7 @@ from pathlib import Path
 import campaign_files as files
 import numpy as np
 import pytest
-from campaign_files import alive, batch, left_over, rows_of, stamps, task, workers_of, write_springs
+from campaign_files import alive, batch, interrupts_blocked, left_over, rows_of, stamps, task, workers_of, write_springs
 from experiment_files import gbid, write_spring_data
 
 from gbid import load_table
@@ -154,7 +154,7 @@ def test_kill_of_workers_and_of_the_pool_runner(springs, fresh):
 @PROC
 @pytest.mark.parametrize("line", [pytest.param("import: 14 to make", marks=pytest.mark.slow), "import: 14 of 14"])
 def test_ctrl_c_in_a_terminal(tmp_path, line):
-    """It goes to the runner and its workers; the second time while they are at work."""
+    """It goes to the runner and its workers, which are deaf to it; the second time while they are at work."""
     path = write_springs(tmp_path, 14, fit="focus: simulation, multi_start: {starts: 30}")  # fits that last
     process = batch(path, "--engine", "pool", "--workers", "2", start_new_session=True)
     for text in process.stderr:
@@ -162,6 +162,7 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
             break
     time.sleep(0.2)
     workers = workers_of(process)
+    assert [interrupts_blocked(pid) for pid in workers] == [True, True]
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err

@@ -469,6 +469,9 @@ os.kill(os.getpid(), signal.SIGINT)
 """
 
 
+IGNORE = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to itself")
 def test_ctrl_c_ends_the_fit_at_the_next_iteration():
     script = SCRIPT.format(tests=str(Path(__file__).parent))
@@ -478,6 +481,14 @@ def test_ctrl_c_ends_the_fit_at_the_next_iteration():
     assert run.returncode in (-signal.SIGINT, 130)
     assert "KeyboardInterrupt" in run.stderr
     assert "nan" not in run.stderr.lower()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to itself")
+def test_ctrl_c_that_is_ignored_does_not_end_the_fit():
+    """As in a worker of a batch."""
+    script = SCRIPT.format(tests=str(Path(__file__).parent)).replace("seen = []", "seen = []\n" + IGNORE)
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
+    assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 
 
 def test_a_fit_in_a_thread_needs_no_signals():

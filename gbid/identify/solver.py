@@ -240,9 +240,13 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 
 @contextmanager
 def _interruptible() -> Iterator[Interrupt]:
-    """Let Ctrl-C end the solver at its next iteration, where all is in order, instead of within a callback."""
+    """Let Ctrl-C end the solver at its next iteration, where all is in order, instead of within a callback.
+
+    Not where Ctrl-C is ignored already: in a worker, whose runner hears it and ends the worker.
+    """
     interrupt = Interrupt()
-    if threading.current_thread() is not threading.main_thread():
+    heard = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+    if not heard:
         yield interrupt
         return
 
