@@ -5,9 +5,12 @@ Property tests draw the same examples in every run, so that a change is judged b
 """
 
 import os
+import signal
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's way with what it starts in the background
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # and with it for the programs that tests interrupt
 
 from hypothesis import settings  # noqa: E402  it may load numpy
 
