@@ -111,3 +111,22 @@ def write_spring_data(path: Path, seed: int, n: int = 1500, dt: float = 5e-4, da
 def copy_results(source: Path, target: Path) -> Path:
     shutil.copytree(source, target)
     return target
+
+
+STAIRS = """\
+format: 1
+name: stairs
+rig:
+  seed: 3
+  operating_points:
+    - {pressure_bar: 6.0, speed_rpm: 0}
+  duration_s: 0.5
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+  actuators: {kind: stacks}
+  staircase: {hold_s: 0.2}
+  stack_staircase: {hold_s: 0.2, controlled: [false]}
+static:
+  film: {recordings: "p6_n0_stairs_*", keep: 0.4}
+  stack4: {recordings: "p6_n0_stack4_open1", kind: piezo, command: v, position: y_p, channel: "4"}
+"""

@@ -8,8 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from experiment_files import STAIRS, write_quick
 from experiment_files import gbid as command
-from experiment_files import write_quick
 
 import gbid
 from gbid import report
@@ -149,24 +149,6 @@ def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> N
     assert list(found) == ["held", "elsewhere"]
     with pytest.raises(DataError, match="design feedback: not made yet; `gbid tune` makes it"):
         assert Results(Job(load_experiment(other, tmp_path / "out"))).designs
-
-
-STAIRS = """\
-format: 1
-name: stairs
-rig:
-  seed: 3
-  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
-  duration_s: 0.5
-  prbs: {recordings: 0}
-  stationary: {recordings: 0}
-  actuators: {kind: stacks}
-  staircase: {hold_s: 0.2}
-  stack_staircase: {hold_s: 0.2, controlled: [false]}
-static:
-  film: {recordings: "p6_n0_stairs_*", keep: 0.4}
-  stack4: {recordings: "p6_n0_stack4_open1", kind: piezo, command: v, position: y_p, channel: "4"}
-"""
 
 
 def test_report_shows_the_static_characterisation(tmp_path) -> None:

@@ -5,7 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from experiment_files import gbid, write_quick
+from experiment_files import STAIRS, gbid, write_quick
 
 from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.experiment.load import load_experiment
@@ -14,24 +14,6 @@ from gbid.experiment.stages import Job, make_rig_recordings, prefilter_recording
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
-
-STATIC = """\
-format: 1
-name: stairs
-rig:
-  seed: 3
-  operating_points:
-    - {pressure_bar: 6.0, speed_rpm: 0}
-  duration_s: 0.5
-  prbs: {recordings: 0}
-  stationary: {recordings: 0}
-  actuators: {kind: stacks}
-  staircase: {hold_s: 0.2}
-  stack_staircase: {hold_s: 0.2, controlled: [false]}
-static:
-  film: {recordings: "p6_n0_stairs_*", keep: 0.4}
-  stack4: {recordings: "p6_n0_stack4_open1", kind: piezo, command: v, position: y_p, channel: "4"}
-"""
 
 PREFILTER = """\
 format: 1
@@ -51,7 +33,7 @@ prefilter:
 
 @pytest.fixture(scope="module")
 def stairs(tmp_path_factory):
-    path = write_quick(tmp_path_factory.mktemp("stairs"), text=STATIC)
+    path = write_quick(tmp_path_factory.mktemp("stairs"), text=STAIRS)
     make_rig_recordings(Job(load_experiment(path)))
     return path
 
@@ -100,7 +82,7 @@ def test_static_prints_a_table(stairs, capsys):
 )
 def test_wrong_sections_are_named(tmp_path, old, new, words):
     with pytest.raises(ExperimentError, match=words.replace("[", r"\[")):
-        load_experiment(write_quick(tmp_path, (old, new), text=STATIC))
+        load_experiment(write_quick(tmp_path, (old, new), text=STAIRS))
 
 
 def test_nothing_to_characterise_is_said(tmp_path, capsys):
@@ -110,7 +92,7 @@ def test_nothing_to_characterise_is_said(tmp_path, capsys):
 
 
 def test_a_plateau_too_short_is_a_failure_beside_the_others(stairs, tmp_path):
-    path = write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STATIC)
+    path = write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STAIRS)
     experiment = load_experiment(path)
     make_rig_recordings(Job(experiment))
     outcomes = run_static(Job(experiment))

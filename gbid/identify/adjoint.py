@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gbid.identify.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
-from gbid.identify.shooting import Part, PartGradient, Shooting, spectral_radius
+from gbid.identify.shooting import Part, PartGradient, Shooting
 from gbid.identify.sweep import from_starts, powers_of, scan
 
 FloatArray = npt.NDArray[np.float64]
@@ -62,10 +62,8 @@ def part_gradients(
         That of the errors at this point when not given. With it parts do not depend on each other.
     """
     theta, starts = problem.unpack(unknowns)
-    if not all(part.within_bounds(theta) for part in problem.parts):
-        return None
-    values = problem.values(theta)
-    if problem.stable_only and problem.noise and spectral_radius(values) > 1:
+    values = problem.valid_values(theta)
+    if values is None:
         return None
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
     made = [

@@ -44,8 +44,8 @@ class GaussNewton:
         return np.asarray(lam_f * self._problem.at(unknowns).hessian)
 
 
-class LeftOut(NamedTuple):
-    """What Gauss-Newton leaves out of the Hessian of a part, scaled.
+class PartHessian(NamedTuple):
+    """Hessian of a part, or what one of its sorts adds to it, scaled, without the block of the windows' starts.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class StructuredSecant:
 
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
-        self._columns: list[LeftOut] = []
+        self._columns: list[PartHessian] = []
         self._calls = 0
         self._learned = [np.zeros((len(part.index),) * 2) for part in problem.parts]
         self._before: tuple[FloatArray, Iterate] | None = None
@@ -91,42 +91,46 @@ class StructuredSecant:
         here = problem.at(unknowns)
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
+        kept = gauss_newton_of(problem, here)
         if self._before is not None:
-            self._learn(unknowns, here, lam_gaps)
+            self._learn(unknowns, here, kept, lam_gaps)
         self._before = unknowns.copy(), here
         left_out = [
-            LeftOut(columns.theta + learned, columns.mixed)
+            PartHessian(columns.theta + learned, columns.mixed)
             for columns, learned in zip(self._columns, self._learned, strict=True)
         ]
         if len(left_out) > 1:
-            kept = self._gauss_newton(here)
-            left_out = [LeftOut(held_up(own.theta, gn), own.mixed) for own, gn in zip(left_out, kept, strict=True)]
+            left_out = [
+                PartHessian(held_up(own.theta, gn.theta), own.mixed) for own, gn in zip(left_out, kept, strict=True)
+            ]
         return np.asarray(lam_f * (here.hessian + entries_of(problem, left_out)))
 
-    def _gauss_newton(self, here: Iterate) -> list[FloatArray]:
-        """Gauss-Newton's Hessian of each part's parameters, scaled."""
-        scales = [self._problem.theta_scale[part.index] for part in self._problem.parts]
-        return [here.factor * s.hessian * np.outer(t, t) for s, t in zip(here.sweeps, scales, strict=True)]
-
-    def _learn(self, unknowns: FloatArray, here: Iterate, lam_gaps: FloatArray) -> None:
-        """Take in what the last step says of each part."""
+    def _learn(self, unknowns: FloatArray, here: Iterate, kept: Sequence[PartHessian], lam_gaps: FloatArray) -> None:
+        """Take in what the last step says of each part, beside what Gauss-Newton and the columns have."""
         problem = self._problem
         assert self._before is not None
         origin, there = self._before
         step = unknowns - origin
         starts = step[problem.n_theta :].reshape(-1, problem.n_states)
         new, old = (problem.gradients_by_part(point, lam_gaps) for point in (here, there))
-        t, x = problem.theta_scale, problem.state_scale
-        for i, (part, s, kept) in enumerate(zip(problem.parts, here.sweeps, self._gauss_newton(here), strict=True)):
-            own, columns = step[part.index], self._columns[i]
-            first = problem.first_window[i]
-            mixed = columns.mixed + s.hessian_mixed * (here.factor * t[part.index, None] * x)
-            explained = (kept + columns.theta + self._learned[i]) @ own
-            explained += np.einsum("wpn,wn->p", mixed, starts[first : first + part.blocks.n_windows])
+        for i, (part, gn, columns) in enumerate(zip(problem.parts, kept, self._columns, strict=True)):
+            own, first = step[part.index], problem.first_window[i]
+            explained = (gn.theta + columns.theta + self._learned[i]) @ own
+            explained += np.einsum("wpn,wn->p", gn.mixed + columns.mixed, starts[first : first + part.blocks.n_windows])
             left = new[i].theta - old[i].theta - explained
             along = float(left @ own)
             if abs(along) > _WORTHLESS * float(np.linalg.norm(left) * np.linalg.norm(own)):
                 self._learned[i] += np.outer(left, left) / along
+
+
+def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
+    """Gauss-Newton's Hessian of each part at an evaluated point."""
+    found = []
+    for part, s in zip(problem.parts, iterate.sweeps, strict=True):
+        t = problem.theta_scale[part.index]
+        mixed = s.hessian_mixed * (iterate.factor * t[:, None] * problem.state_scale)
+        found.append(PartHessian(iterate.factor * s.hessian * np.outer(t, t), mixed))
+    return found
 
 
 def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
@@ -151,7 +155,7 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
     return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
 
 
-def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[LeftOut]:
+def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[PartHessian]:
     """Return what Gauss-Newton lacks of exact columns for the disturbance gain, part by part.
 
     What the disturbance gain does to the predictions is made of the errors themselves, so the second derivatives
@@ -166,13 +170,12 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
     lam_gaps : (n_gaps,) array
     """
     shapes = [(part.blocks.n_windows, len(part.index), problem.n_states) for part in problem.parts]
-    found = [LeftOut(np.zeros((n_p, n_p)), np.zeros((n_w, n_p, n))) for n_w, n_p, n in shapes]
+    found = [PartHessian(np.zeros((n_p, n_p)), np.zeros((n_w, n_p, n))) for n_w, n_p, n in shapes]
     groups, iterate = apart(problem), problem.at(unknowns)
     if len(groups) > _MOST_DIFFERENCES or not iterate.sweeps:
         return found
-    here = problem.gradients_by_part(iterate, lam_gaps)
+    here, kept = problem.gradients_by_part(iterate, lam_gaps), gauss_newton_of(problem, iterate)
     weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
-    t, x = problem.theta_scale, problem.state_scale
     for group in groups:
         moved = unknowns.copy()
         moved[group] += _DIFFERENCE
@@ -180,12 +183,10 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
         there = part_gradients(problem, moved, lam_gaps, weight if len(group) > 1 else None)
         if there is None:
             continue
-        for i, (part, s) in enumerate(zip(problem.parts, iterate.sweeps, strict=True)):
+        for i, (part, gn) in enumerate(zip(problem.parts, kept, strict=True)):
             for place in np.flatnonzero(np.isin(part.index, np.intersect1d(group, part.noise))):
-                scale = iterate.factor * t[part.index] * t[part.index[place]]
-                column = (there[i].theta - here[i].theta) / _DIFFERENCE - s.hessian[:, place] * scale
-                mixed = (there[i].starts - here[i].starts) / _DIFFERENCE
-                mixed -= s.hessian_mixed[:, place] * (iterate.factor * t[part.index[place]] * x)
+                column = (there[i].theta - here[i].theta) / _DIFFERENCE - gn.theta[:, place]
+                mixed = (there[i].starts - here[i].starts) / _DIFFERENCE - gn.mixed[:, place]
                 if np.isfinite(column).all() and np.isfinite(mixed).all():
                     found[i].theta[:, place] = found[i].theta[place] = column
                     found[i].mixed[:, place] = mixed
@@ -195,8 +196,9 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
 def apart(problem: Shooting) -> list[list[int]]:
     """Group the disturbance gains of `Shooting.noise`: of a group, each part has one at most."""
     groups: list[tuple[set[int], list[int]]] = []
+    gains = [set(part.noise.tolist()) for part in problem.parts]
     for j in problem.noise:
-        felt = {i for i, part in enumerate(problem.parts) if j in part.noise}
+        felt = {i for i, own in enumerate(gains) if j in own}
         for taken, group in groups:
             if taken.isdisjoint(felt):
                 taken |= felt
@@ -207,7 +209,7 @@ def apart(problem: Shooting) -> list[list[int]]:
     return [group for _, group in groups]
 
 
-def entries_of(problem: Shooting, left_out: Sequence[LeftOut]) -> FloatArray:
+def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:
     """Entries where `Shooting.hessian_pattern` has them, the sum of all parts."""
     theta = np.zeros((problem.n_theta, problem.n_theta))
     for part, own in zip(problem.parts, left_out, strict=True):

@@ -233,6 +233,13 @@ class Shooting:
         self._met[point] = result
         return result
 
+    def valid_values(self, theta: FloatArray) -> list[PredictorValues] | None:
+        """Predictors of all parts; None where the problem has no value: beyond bounds of tied ones, or unstable."""
+        if not all(part.within_bounds(theta) for part in self.parts):
+            return None
+        values = self.values(theta)
+        return None if self.stable_only and self.noise and spectral_radius(values) > 1 else values
+
     def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """One pass over every part; `starts` (n_windows, n)."""
         return [
@@ -413,10 +420,8 @@ class Shooting:
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
             theta, starts = self.unpack(unknowns)
-            if not all(part.within_bounds(theta) for part in self.parts):
-                return self._invalid()
-            values = self.values(theta)
-            if self.stable_only and self.noise and spectral_radius(values) > 1:
+            values = self.valid_values(theta)
+            if values is None:
                 return self._invalid()
             if self.criterion == "trace":  # the weight is a number: it can follow the pass
                 W = np.diag(self.output_weights)
