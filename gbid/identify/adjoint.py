@@ -35,36 +35,50 @@ def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: Float
     (n_unknowns,) array
         NaN where the problem has no value.
     """
-    found = part_gradients(problem, unknowns, lam_gaps)
+    theta, starts = problem.unpack(unknowns)
+    values = problem.valid_values(theta)
+    found = own_gradients(problem, values, starts, on_ends(problem, lam_gaps)) if values is not None else None
     if found is None:
         return np.full(problem.n_unknowns, np.nan)
-    theta, _ = problem.unpack(unknowns)
-    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean) * problem.theta_scale
+    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean)
     for part, own in zip(problem.parts, found, strict=True):
-        by_theta[part.index] += own.theta
-    by_start = np.concatenate([own.starts for own in found])
+        by_theta[part.index] += own.theta if part.tie is None else part.tie.T @ own.theta
+    by_start = np.concatenate([own.starts for own in found]) * problem.state_scale
     by_start[problem.links[:, 1]] -= lam_gaps.reshape(-1, problem.n_states)
-    return np.concatenate([by_theta, by_start.ravel()])
+    return np.concatenate([by_theta * problem.theta_scale, by_start.ravel()])
 
 
-def part_gradients(
-    problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, weight: FloatArray | None = None
+def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
+    """Multipliers of the windows' ends, (n_windows, n), in physical units: the gaps', zero where none follows."""
+    ends = np.zeros((problem.n_windows, problem.n_states))
+    ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    return ends
+
+
+def own_gradients(
+    problem: Shooting,
+    values: list[PredictorValues],
+    starts: FloatArray,
+    ends: FloatArray,
+    weight: FloatArray | None = None,
 ) -> list[PartGradient] | None:
-    """Gradient of the Lagrangian part by part, as `Shooting.gradients_by_part` has it; None where there is no value.
+    """Derive cost and weighted ends by each predictor's own parameters and the starts of its windows.
 
     Parameters
     ----------
     problem : Shooting
-    unknowns : (n_unknowns,) array
-        Scaled.
-    lam_gaps : (n_gaps,) array
+    values : list of PredictorValues
+        Of each part.
+    starts, ends : (n_windows, n) array
+        Of the windows, and multipliers of where these end.
     weight : (n_y, n_y) array, optional
-        That of the errors at this point when not given. With it parts do not depend on each other.
+        That of the errors when not given. With it parts do not depend on each other.
+
+    Returns
+    -------
+    list of PartGradient or None
+        In physical units, without the prior; None where the errors overflow.
     """
-    theta, starts = problem.unpack(unknowns)
-    values = problem.valid_values(theta)
-    if values is None:
-        return None
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
     made = [
         from_starts(v, part.blocks, starts[own], part.engine)
@@ -75,14 +89,10 @@ def part_gradients(
         if not np.isfinite(products).all():
             return None
         weight = problem.weight(products)
-    last = np.zeros_like(starts)
-    last[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
     found = []
     for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
-        sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, last[own])
-        by_own = _by_parameters(v, sums)
-        by_index = by_own if part.tie is None else part.tie.T @ by_own
-        found.append(PartGradient(by_index * problem.theta_scale[part.index], start * problem.state_scale))
+        sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, ends[own])
+        found.append(PartGradient(_by_parameters(v, sums), start))
     return found
 
 

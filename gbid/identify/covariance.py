@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.blocks import LONGEST_BLOCK, cut
-from gbid.identify.shooting import Part, Shooting
-from gbid.identify.sweep import block_sums, joined, link, powers_of, start_hessians
+from gbid.identify.blocks import LONGEST_BLOCK
+from gbid.identify.over_records import by_piece, information_over_records
+from gbid.identify.shooting import Shooting
 from gbid.identify.whiteness import correlation_length
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
+FLATTEST = 1e-4
+"""Curvature, as a part of Gauss-Newton's, below which a point is no minimum."""
 _BLOCKS = 64  # the least number of blocks, within which scores are summed before they are correlated
 _SHORTEST, _LONGEST = 8, 64  # samples in such a block
 _MOST_BLOCKS = 200  # in long records the blocks grow instead
@@ -30,6 +31,9 @@ class Covariance(NamedTuple):
         For white residuals.
     robust : (n_p, n_p) array
         For residuals of any colour.
+    flatness : float
+        Least curvature of the cost over Gauss-Newton's, of all directions: about one with white residuals; NaN where
+        it was not asked for. Below `FLATTEST` the point is no minimum, and the robust covariance Gauss-Newton's.
     undetermined : (n_directions, n_p) array
         Unit directions, in parameters scaled by their curvature, that the data say nothing about; mostly empty.
     condition : float
@@ -38,6 +42,7 @@ class Covariance(NamedTuple):
 
     white: FloatArray
     robust: FloatArray
+    flatness: float
     undetermined: FloatArray
     condition: float
 
@@ -52,6 +57,7 @@ def covariance(
     held: npt.NDArray[np.bool_],
     *,
     initial_known: bool = False,
+    coloured: bool = False,
 ) -> Covariance:
     """Covariance of the parameters at an estimate.
 
@@ -70,6 +76,8 @@ def covariance(
         Parameters on a bound: they count as known, and get zero rows.
     initial_known : bool
         Whether initial states were given instead of estimated.
+    coloured : bool
+        Whether the robust covariance is to have the cost's own Hessian; it costs a pass for each parameter.
 
     Returns
     -------
@@ -77,12 +85,14 @@ def covariance(
 
     Notes
     -----
-    With ``H = sum psi' W psi`` over parameters and initial states, and J the covariance of the gradient
+    With the Hessian H of ``sum e' W e / 2`` over parameters and initial states, and J the covariance of its gradient
     ``sum psi' W e``, the estimates have the covariance ``H^-1 J H^-1`` (Ljung, System Identification,
-    Secs. 9.2 to 9.4). For white residuals of covariance Lambda, ``J = sum psi' W Lambda W psi``. The robust J
+    Secs. 9.2 to 9.4). White residuals owe nothing to the past, so that Gauss-Newton's ``H = sum psi' W psi`` will do;
+    and with their covariance Lambda, ``J = sum psi' W Lambda W psi``. With coloured ones H has what Gauss-Newton
+    leaves out, ``-sum psi_i' W d psi_j``, which along the disturbance gain is most of it. The robust J
     sums the products of the gradients of neighbouring blocks, with weights that fall to zero at a few times
-    the residuals' memory (Newey and West, 1987). A prior adds its information to H and, as what a datum of its
-    variance would do, to J.
+    the residuals' memory (Newey and West, 1987), and makes up for what the fit takes of it. A prior adds its
+    information to H and, as what a datum of its variance would do, to J.
     """
     n_p = problem.n_theta
     n_all = n_p + len(record_window) * problem.n_states
@@ -90,10 +100,11 @@ def covariance(
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
     block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
     block = max(block, min(problem.n_samples // _MOST_BLOCKS, LONGEST_BLOCK))
-    fine = _by_piece(problem, block)
-    first = _information(problem, fine, theta, starts, record_window, weight, scores=True)
+    fine = by_piece(problem, block)
+    at = theta, starts, record_window
+    first = information_over_records(problem, fine, *at, weight, scores=True, observed=coloured)
     shaped = weight @ (error_products / freedom) @ weight
-    second = _information(problem, fine, theta, starts, record_window, shaped)
+    second = information_over_records(problem, fine, *at, shaped)
 
     # The weight is one over the total error, the likelihood's one over its variance: they differ by this factor.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
@@ -103,112 +114,37 @@ def covariance(
     H = (first.hessian + np.diag(known))[kept]
     J_white = (second.hessian + np.diag(known * unit))[kept]
     lag = max(1, round(3 * correlation_length(errors) / block))
-    J_robust = long_run([scores[:, keep] for scores in first.scores], lag) + np.diag(known * unit)[kept]
+    J_robust = long_run([scores[:, keep] for scores in first.scores], lag) / share_left(
+        list(map(len, first.scores)), lag
+    )
+    J_robust += np.diag(known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     dark = eigenvalues < _UNDETERMINED * eigenvalues[-1]
-    inverse = (vectors[:, ~dark] / eigenvalues[~dark]) @ vectors[:, ~dark].T / np.outer(scale, scale)
+    root = vectors[:, ~dark] / np.sqrt(eigenvalues[~dark]) / scale[:, None]  # root root' is the inverse
+    inverse, flatness = root @ root.T, np.nan
     n_kept = int((~held).sum())
 
-    def over_parameters(J: FloatArray) -> FloatArray:
+    def over_parameters(J: FloatArray, inverse: FloatArray) -> FloatArray:
         result = np.zeros((n_p, n_p))
         result[np.ix_(~held, ~held)] = (inverse @ J @ inverse)[:n_kept, :n_kept]
         return result
+
+    white = over_parameters(J_white, inverse)
+    if first.observed is not None:
+        own, axes = np.linalg.eigh(root.T @ (first.observed + np.diag(known))[kept] @ root)
+        flatness = float(own[0])
+        if flatness >= FLATTEST:
+            axes = root @ axes
+            inverse = (axes / own) @ axes.T
 
     directions = np.zeros((int(dark.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, dark].T
     # A direction among initial states alone is no concern of the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-    return Covariance(over_parameters(J_white), over_parameters(J_robust), directions, condition)
-
-
-class _Fine(NamedTuple):
-    """A part cut anew, each piece as one window of short blocks, and the windows these pieces start with."""
-
-    part: Part
-    windows: IntArray
-
-
-class _Information(NamedTuple):
-    hessian: FloatArray  # (n_all, n_all) over parameters and initial states
-    scores: list[FloatArray]  # per record, (n_blocks, n_all): gradient of each block
-
-
-def _by_piece(problem: Shooting, block: int) -> list[_Fine]:
-    fine = []
-    for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
-        blocks = cut(part.blocks.pieces, part.predictor, None, longest_block=block)
-        fine.append(_Fine(replace(part, blocks=blocks), first + part.blocks.piece_first))
-    return fine
-
-
-def _information(
-    problem: Shooting,
-    fine: list[_Fine],
-    theta: FloatArray,
-    starts: FloatArray,
-    record_window: IntArray,
-    weight: FloatArray,
-    *,
-    scores: bool = False,
-) -> _Information:
-    """Run a pass over whole pieces and refer everything to parameters and the records' initial states."""
-    n, n_p = problem.n_states, problem.n_theta
-    n_all = n_p + len(record_window) * n
-    record_of = {int(window): i for i, window in enumerate(record_window)}
-    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the piece at a window: sensitivity, record
-    for window, record in record_of.items():
-        T = np.zeros((n, n_all))
-        T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
-        chains[window] = T, record
-    hessian = np.zeros((n_all, n_all))
-    gathered: list[list[tuple[int, FloatArray]]] = [[] for _ in record_window]
-    passes = []
-    for v, (part, windows) in zip(problem.values(theta), fine, strict=True):
-        powers = powers_of(v.F, part.blocks.length)
-        sums, free = block_sums(v, part.blocks, starts[windows], weight, powers, part.engine)
-        linked = link(part.blocks, sums.end_theta, powers)
-        whole = joined(part.blocks, sums, start_hessians(part.blocks, free), linked)
-        passes.append((part, windows, sums, whole, linked))
-    _follow_pieces(problem, passes, chains)
-    for part, windows, sums, whole, linked in passes:
-        hessian[np.ix_(part.index, part.index)] += whole.hessian
-        for i, window in enumerate(windows):
-            T, record = chains[int(window)]
-            mixed = whole.hessian_mixed[i] @ T
-            hessian[part.index] += mixed
-            hessian[:, part.index] += mixed.T
-            hessian += T.T @ whole.hessian_start[i] @ T
-            if scores:
-                own = slice(part.blocks.window_first[i], part.blocks.window_first[i] + part.blocks.window_size[i])
-                g, gx = sums.gradient[own], sums.gradient_start[own]
-                block = (gx[:, None, :] @ linked.by_start[own])[:, 0] @ T
-                block[:, part.index] += g + (gx[:, None, :] @ linked.by_theta[own])[:, 0]
-                gathered[record].append((int(window), block))
-    ordered = [np.concatenate([b for _, b in sorted(parts, key=lambda item: item[0])]) for parts in gathered if parts]
-    return _Information(hessian, ordered)
-
-
-def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[FloatArray, int]]) -> None:  # type: ignore[type-arg]
-    """Carry sensitivities from piece to piece of a record, over the stretches that are left out."""
-    piece_of = {}
-    last_window = {}
-    for k, (_, windows, *_) in enumerate(passes):
-        original = problem.parts[k].blocks
-        ends = np.append(original.piece_first[1:], original.n_windows) - 1 + problem.first_window[k]
-        for i, window in enumerate(windows):
-            piece_of[int(window)] = (k, i)
-            last_window[int(ends[i])] = int(window)
-    for a, b in problem.links:
-        if int(b) in piece_of and int(a) in last_window:
-            T, record = chains[last_window[int(a)]]
-            k, i = piece_of[last_window[int(a)]]
-            part, _, _, whole, _ = passes[k]
-            following = whole.end_start[i] @ T
-            following[:, part.index] += whole.end_theta[i]
-            chains[int(b)] = following, record
+    return Covariance(white, over_parameters(J_robust, inverse), flatness, directions, condition)
 
 
 def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
@@ -221,3 +157,15 @@ def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
             product = s[shift:].T @ s[:-shift]
             total += (1 - shift / (lag + 1)) * (product + product.T)
     return total
+
+
+def share_left(lengths: list[int], lag: int) -> float:
+    """Share of `long_run` that is left, in the mean, of scores that add up to zero as they do at an estimate.
+
+    What is lost are the weights' share of all pairs of blocks (Kiefer and Vogelsang, 2005); at least a third is left.
+    """
+    counted = float(sum(lengths))
+    for length in lengths:
+        shifts = np.arange(1, min(lag, length - 1) + 1)
+        counted += 2 * float(((1 - shifts / (lag + 1)) * (length - shifts)).sum())
+    return max(1 - counted / sum(lengths) ** 2, 1 / 3)

@@ -8,17 +8,18 @@ direction, and Gauss-Newton creeps along it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.adjoint import part_gradients
+from gbid.identify.adjoint import on_ends
+from gbid.identify.exact_columns import PartHessian, exact_columns
 from gbid.identify.shooting import Iterate, Shooting
 
 FloatArray = npt.NDArray[np.float64]
 _REFRESH = 2  # iterations for which the columns of the disturbance gain serve
-_DIFFERENCE = 1e-5  # step of a difference, in units in which the cost has curvature one
+_LEARNING = 6  # iterations, after which all columns are exact
 _MOST_DIFFERENCES = 8  # passes; with more they cost more than they save
 _LEAST = 0.01  # of Gauss-Newton's curvature
 _FLAT = 1e-12  # of the largest: parameters that a part does not tell apart
@@ -44,28 +45,14 @@ class GaussNewton:
         return np.asarray(lam_f * self._problem.at(unknowns).hessian)
 
 
-class PartHessian(NamedTuple):
-    """Hessian of a part, or what one of its sorts adds to it, scaled, without the block of the windows' starts.
-
-    Attributes
-    ----------
-    theta : (n_p, n_p) array
-        Of the parameters at the part's `index`.
-    mixed : (n_windows, n_p, n) array
-        Of these and the starts of its windows.
-    """
-
-    theta: FloatArray
-    mixed: FloatArray
-
-
 class StructuredSecant:
     """Gauss-Newton, columns for the disturbance gain made anew every few iterations, and secant updates of the rest.
 
     The updates are of rank one (SR1), of the parameters' block: they follow negative curvature, too, on which the
     solver shifts the Hessian itself. Each recording with parameters of its own learns for itself, as it depends on few
     of the unknowns, and among several is made convex by itself (`held_up`): else the solver would shift the whole
-    Hessian for the sake of one.
+    Hessian for the sake of one. Where that is not the end within a few iterations, the valley is bent and there is
+    more to learn than it lasts: from then on all columns are exact, which takes a pass for each parameter.
 
     Notes
     -----
@@ -84,22 +71,25 @@ class StructuredSecant:
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
         """Evaluate at the solver's next point, and learn from the step to it."""
-        problem = self._problem
-        if self._calls % _REFRESH == 0:
-            self._columns = noise_columns(problem, unknowns, lam_gaps)
+        problem, calls = self._problem, self._calls
         self._calls += 1
         here = problem.at(unknowns)
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
         kept = gauss_newton_of(problem, here)
-        if self._before is not None:
-            self._learn(unknowns, here, kept, lam_gaps)
-        self._before = unknowns.copy(), here
-        left_out = [
-            PartHessian(columns.theta + learned, columns.mixed)
-            for columns, learned in zip(self._columns, self._learned, strict=True)
-        ]
-        if len(left_out) > 1:
+        if calls >= _LEARNING:
+            left_out = all_columns(problem, unknowns, lam_gaps)
+        else:
+            if calls % _REFRESH == 0:
+                self._columns = noise_columns(problem, unknowns, lam_gaps)
+            if self._before is not None:
+                self._learn(unknowns, here, kept, lam_gaps)
+            self._before = unknowns.copy(), here
+            left_out = [
+                PartHessian(columns.theta + learned, columns.mixed)
+                for columns, learned in zip(self._columns, self._learned, strict=True)
+            ]
+        if calls >= _LEARNING or len(left_out) > 1:
             left_out = [
                 PartHessian(held_up(own.theta, gn.theta), own.mixed) for own, gn in zip(left_out, kept, strict=True)
             ]
@@ -159,8 +149,7 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
     """Return what Gauss-Newton lacks of exact columns for the disturbance gain, part by part.
 
     What the disturbance gain does to the predictions is made of the errors themselves, so the second derivatives
-    that Gauss-Newton leaves out are as large as what it keeps. The columns come from differences of the Lagrangian's
-    gradient; gains of different recordings share one, since each recording feels its own alone.
+    that Gauss-Newton leaves out are as large as what it keeps. Nothing where there are too many gains for that.
 
     Parameters
     ----------
@@ -169,44 +158,68 @@ def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray)
         Scaled.
     lam_gaps : (n_gaps,) array
     """
+    rows = [part.predictor.noise for part in problem.parts]
+    if max(map(len, rows)) > _MOST_DIFFERENCES:
+        rows = [()] * len(rows)
+    places = [
+        np.flatnonzero(np.isin(part.index, part.noise)) if wanted else np.zeros(0, int)
+        for part, wanted in zip(problem.parts, rows, strict=True)
+    ]
+    return _left_out(problem, unknowns, lam_gaps, rows, places)
+
+
+def all_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[PartHessian]:
+    """Return all that Gauss-Newton leaves out of the weighted squares, part by part.
+
+    Parameters as for `noise_columns`. Off the minimum the logarithm of the squares curves less, and where they nearly
+    vanish, downwards; that part is left aside.
+    """
+    rows = [range(len(part.predictor.free)) for part in problem.parts]
+    places = [np.arange(len(part.index)) for part in problem.parts]
+    return _left_out(problem, unknowns, lam_gaps, rows, places, weight_held=True)
+
+
+def _left_out(
+    problem: Shooting,
+    unknowns: FloatArray,
+    lam_gaps: FloatArray,
+    rows: Sequence[Sequence[int]],
+    places: Sequence[npt.NDArray[np.int64]],
+    *,
+    weight_held: bool = False,
+) -> list[PartHessian]:
+    """Return what Gauss-Newton lacks of some columns.
+
+    `rows` are those of the predictors' own parameters, `places` those at the parts' `index`, that depend on no others.
+    The weight is that of the errors, and changes with them unless it is held.
+    """
     shapes = [(part.blocks.n_windows, len(part.index), problem.n_states) for part in problem.parts]
     found = [PartHessian(np.zeros((n_p, n_p)), np.zeros((n_w, n_p, n))) for n_w, n_p, n in shapes]
-    groups, iterate = apart(problem), problem.at(unknowns)
-    if len(groups) > _MOST_DIFFERENCES or not iterate.sweeps:
+    iterate = problem.at(unknowns)
+    if not (iterate.sweeps and any(map(len, rows))):
         return found
-    here, kept = problem.gradients_by_part(iterate, lam_gaps), gauss_newton_of(problem, iterate)
-    weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
-    for group in groups:
-        moved = unknowns.copy()
-        moved[group] += _DIFFERENCE
-        # With several gains at once, the weight must not tell one recording of the others.
-        there = part_gradients(problem, moved, lam_gaps, weight if len(group) > 1 else None)
-        if there is None:
-            continue
-        for i, (part, gn) in enumerate(zip(problem.parts, kept, strict=True)):
-            for place in np.flatnonzero(np.isin(part.index, np.intersect1d(group, part.noise))):
-                column = (there[i].theta - here[i].theta) / _DIFFERENCE - gn.theta[:, place]
-                mixed = (there[i].starts - here[i].starts) / _DIFFERENCE - gn.mixed[:, place]
-                if np.isfinite(column).all() and np.isfinite(mixed).all():
-                    found[i].theta[:, place] = found[i].theta[place] = column
-                    found[i].mixed[:, place] = mixed
+    weight = None
+    meant = {tuple(part.index[at].tolist()) for part, at in zip(problem.parts, places, strict=True)} - {()}
+    if (
+        weight_held or len(meant) > 1
+    ):  # parameters of several recordings move at once: the weight must not tell one of the others
+        weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
+    exact = exact_columns(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), rows, weight)
+    parts = zip(problem.parts, rows, places, found, exact, gauss_newton_of(problem, iterate), strict=True)
+    for part, wanted, at, own, columns, gn in parts:
+        scale = problem.theta_scale[part.index]
+        theta, mixed = columns
+        if part.tie is not None:
+            onto = part.tie[list(wanted)][:, at]
+            theta, mixed = part.tie.T @ theta @ onto, np.einsum("wjn,jp->wpn", mixed, onto)
+        theta = theta * np.outer(scale, scale[at]) - gn.theta[:, at]
+        mixed = mixed * (scale[at, None] * problem.state_scale) - gn.mixed[:, at]
+        if np.isfinite(theta).all() and np.isfinite(mixed).all():
+            theta[at] = (theta[at] + theta[at].T) / 2
+            own.theta[:, at] = theta
+            own.theta[at] = theta.T
+            own.mixed[:, at] = mixed
     return found
-
-
-def apart(problem: Shooting) -> list[list[int]]:
-    """Group the disturbance gains of `Shooting.noise`: of a group, each part has one at most."""
-    groups: list[tuple[set[int], list[int]]] = []
-    gains = [set(part.noise.tolist()) for part in problem.parts]
-    for j in problem.noise:
-        felt = {i for i, own in enumerate(gains) if j in own}
-        for taken, group in groups:
-            if taken.isdisjoint(felt):
-                taken |= felt
-                group.append(j)
-                break
-        else:
-            groups.append((felt, [j]))
-    return [group for _, group in groups]
 
 
 def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:

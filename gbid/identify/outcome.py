@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from gbid.discretise import Dual
 from gbid.identify.assembly import Assembly
-from gbid.identify.covariance import Covariance, covariance
+from gbid.identify.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.data import FitData
 from gbid.identify.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.result import FitResult
@@ -72,16 +72,22 @@ def outcome(
         success, status = False, _OVERFLOW
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
-    found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
-    pressed = on_bound | _on_bound(free, theta, _NEAR_IN_STD * np.sqrt(np.diag(found.white)))
-    if (pressed != on_bound).any():  # the solver stops a little inside of a bound that holds it
-        on_bound = pressed
-        found = _covariance(problem, theta, starts, assembly, products, by_record, on_bound, initial_known)
     white = whiteness_test(by_record)
     trusted: Literal["white", "robust"] = (
         "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
     )
+
+    def uncertainty(on_bound: BoolArray) -> Covariance:
+        return _covariance(
+            problem, theta, starts, assembly, products, by_record, on_bound, initial_known, trusted == "robust"
+        )
+
+    on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
+    found = uncertainty(on_bound)
+    pressed = on_bound | _on_bound(free, theta, _NEAR_IN_STD * np.sqrt(np.diag(found.white)))
+    if (pressed != on_bound).any():  # the solver stops a little inside of a bound that holds it
+        on_bound = pressed
+        found = uncertainty(on_bound)
     chosen = found.white if trusted == "white" else found.robust
 
     estimates = {**begin, **dict.fromkeys(assembly.unused, 0.0)}
@@ -163,14 +169,23 @@ def _covariance(
     errors: list[FloatArray],
     on_bound: BoolArray,
     initial_known: bool,
+    coloured: bool,
 ) -> Covariance:
     nothing = np.full((len(theta), len(theta)), np.nan)
-    none = Covariance(nothing, nothing, np.zeros((0, len(theta))), np.inf)
+    none = Covariance(nothing, nothing, np.nan, np.zeros((0, len(theta))), np.inf)
     if not np.isfinite(products).all():
         return none
     try:
         return covariance(
-            problem, theta, starts, assembly.record_window, products, errors, on_bound, initial_known=initial_known
+            problem,
+            theta,
+            starts,
+            assembly.record_window,
+            products,
+            errors,
+            on_bound,
+            initial_known=initial_known,
+            coloured=coloured,
         )
     except np.linalg.LinAlgError:
         return none
@@ -213,6 +228,11 @@ def _notes(
         notes.append(
             "the residuals are not white: standard deviations are the robust ones, and do not cover what the "
             "structure leaves out"
+        )
+    if not np.isnan(found.flatness) and found.flatness < FLATTEST:
+        notes.append(
+            "this is no minimum of the criterion, or one that is flat in some direction: standard deviations have "
+            "Gauss-Newton's curvature, and are too small; try other start values (fit_multistart)"
         )
     if assembly.unused:
         notes.append(f"not seen by simulation focus, set to 0: {', '.join(assembly.unused)}")

@@ -100,12 +100,12 @@ class Iterate(NamedTuple):
 
 
 class PartGradient(NamedTuple):
-    """What a part adds to the gradient of the Lagrangian, scaled, without the prior.
+    """What a part adds to the gradient of the Lagrangian, without the prior.
 
     Attributes
     ----------
     theta : (n_p,) array
-        By the parameters at the part's `index`.
+        By parameters: those at the part's `index`, or the predictor's own.
     starts : (n_windows, n) array
         By its windows' starts; that another window is to end there is left out.
     """

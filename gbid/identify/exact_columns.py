@@ -1,0 +1,96 @@
+"""Columns of the Hessian as they are, what Gauss-Newton leaves out included: differences of the adjoint's gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.adjoint import own_gradients
+from gbid.identify.predictor import PredictorValues
+from gbid.identify.shooting import Part, Shooting
+
+FloatArray = npt.NDArray[np.float64]
+_DIFFERENCE = 1e-5  # step of a difference, in units in which the cost has curvature one
+
+
+class PartHessian(NamedTuple):
+    """Hessian of a part, or columns of it, without the block of the windows' starts.
+
+    Attributes
+    ----------
+    theta : (n_p, m) array
+        By parameters, and by those of them that the columns are of.
+    mixed : (n_windows, m, n) array
+        By the latter and the starts of the windows.
+    """
+
+    theta: FloatArray
+    mixed: FloatArray
+
+
+def exact_columns(
+    problem: Shooting,
+    theta: FloatArray,
+    starts: FloatArray,
+    ends: FloatArray,
+    wanted: Sequence[Sequence[int]],
+    weight: FloatArray | None,
+) -> list[PartHessian]:
+    """Second derivatives of cost and weighted ends by each predictor's own parameters.
+
+    Parts share the passes over the samples, one for each parameter that is wanted of the part that wants most.
+
+    Parameters
+    ----------
+    problem : Shooting
+    theta : (n_p,) array
+    starts, ends : (n_windows, n) array
+        Of the windows, and multipliers of where these end.
+    wanted : sequence of sequence of int
+        For each part which of its own parameters.
+    weight : (n_y, n_y) array or None
+        Of the errors; None lets it change with them, as the logarithm's does, and is for columns that all parts share.
+
+    Returns
+    -------
+    list of PartHessian
+        In physical units; NaN where the errors overflow.
+    """
+    values = problem.values(theta)
+    here = own_gradients(problem, values, starts, ends, weight)
+    counts = [part.blocks.n_windows for part in problem.parts]
+    columns = [
+        PartHessian(
+            np.full((len(part.predictor.free), len(own)), np.nan), np.full((n, len(own), problem.n_states), np.nan)
+        )
+        for part, own, n in zip(problem.parts, wanted, counts, strict=True)
+    ]
+    if here is None:
+        return columns
+    for k in range(max(map(len, wanted))):
+        moved = [
+            (_moved(problem, part, theta, own[k]) if k < len(own) else (v, 1.0))
+            for part, own, v in zip(problem.parts, wanted, values, strict=True)
+        ]
+        there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
+        if there is None:
+            continue
+        for found, own, (_, step), after, before in zip(columns, wanted, moved, there, here, strict=True):
+            if k < len(own):
+                found.theta[:, k] = (after.theta - before.theta) / step
+                found.mixed[:, k] = (after.starts - before.starts) / step
+    return columns
+
+
+def _moved(problem: Shooting, part: Part, theta: FloatArray, j: int) -> tuple[PredictorValues, float]:
+    """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
+    scale = problem.theta_scale[part.index]
+    step = _DIFFERENCE * float(scale[j] if part.tie is None else (np.abs(part.tie[j]) * scale).max())
+    own = np.array(part.own(theta), float)
+    if own[j] + step > part.predictor.free[j].upper:
+        step = -step
+    own[j] += step
+    return part.predictor.at(own), step

@@ -1,0 +1,78 @@
+"""Exact columns of the Hessian: against differences of the gradient over whole records, and what they are worth."""
+
+import numpy as np
+import pytest
+from fit_cases import H, levels
+from scipy.signal import lfilter
+from test_adjoint import problem
+
+from gbid.identify import fit
+from gbid.identify.one_window import in_one_window
+from gbid.identify.over_records import by_piece, information_over_records
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, evaluate
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{}, {"criterion": "det"}, {"left_out": {}, "local": {"tau_x": "recording"}}],
+    ids=["gap", "det", "local"],
+)
+def test_the_observed_information_is_the_slope_of_the_gradient(options):
+    """Over parameters and initial states, the state carried across samples that are left out."""
+    shooting, unknowns = problem(**options)
+    joined, kept = in_one_window(shooting)
+    theta, starts = joined.unpack(unknowns[kept])
+    first = np.setdiff1d(np.arange(joined.n_windows), joined.links[:, 1])  # windows that records begin with
+    n_p, n_all = joined.n_theta, joined.n_theta + len(first) * joined.n_states
+    starts = passed_on(joined, theta, starts)
+    weight = joined.weight(joined.error_products(joined.values(theta), starts))
+
+    fine = by_piece(joined, 100)
+
+    def gradient(moved):
+        at, begun = theta + moved[:n_p], starts.copy()
+        begun[first] += moved[n_p:].reshape(len(first), -1)
+        found = information_over_records(joined, fine, at, passed_on(joined, at, begun), first, weight, scores=True)
+        return sum(scores.sum(axis=0) for scores in found.scores)
+
+    found = information_over_records(joined, fine, theta, starts, first, weight, observed=True)
+    steps = 1e-5 / np.sqrt(np.diag(found.hessian))
+    expected = np.array([(gradient(s) - gradient(-s)) / (2 * s.max()) for s in np.diag(steps)])
+    size = np.sqrt(np.outer(np.diag(found.hessian), np.diag(found.hessian)))
+    assert found.observed.shape == (n_all, n_all)
+    np.testing.assert_allclose(found.observed / size, expected / size, atol=2e-4)
+    assert np.abs((found.hessian - expected) / size).max() > 0.05  # Gauss-Newton leaves something out
+
+
+def passed_on(joined, theta, starts):
+    """Starts with those that follow another window where that ends."""
+    for _ in joined.links:
+        gaps = joined.at(joined.pack(theta, starts)).gaps.reshape(-1, joined.n_states) * joined.state_scale
+        starts = starts.copy()
+        starts[joined.links[:, 1]] += gaps
+    return starts
+
+
+LAG = LinearStructure(
+    "lag with a gain",
+    [Parameter("a", 1.0, lower=0.01, upper=50.0), Parameter("b", 1.0), Parameter("k", 0.5)],
+    lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1]], "K": [[p.k]]},
+)
+
+
+def ringing(n, seed):
+    """Noise of one oscillation, which no gain of `LAG` can follow, (n, 1)."""
+    e = 6e-3 * np.random.default_rng(seed).normal(size=n + 500)
+    return lfilter([1.0], [1.0, -1.96 * np.cos(0.4), 0.98**2], e)[500:, None]
+
+
+def test_a_gain_that_cannot_follow_the_errors_is_as_uncertain_as_many_fits_are():
+    """With Gauss-Newton's Hessian it would be said to be half as sure again as it is."""
+    u = levels(2000, seed=2)
+    clean = evaluate(LAG, {"a": 1.5, "b": 2.0, "k": 0.0}).simulate(u, H)
+    found = [fit(LAG, Recording({"u": u, "y": clean + ringing(2000, seed)}, H)) for seed in range(60)]
+    assert all(result.trusted == "robust" for result in found)
+    spread = np.std([[result.parameters[name] for name in "abk"] for result in found], axis=0, ddof=1)
+    stated = np.median([[result.std[name] for name in "abk"] for result in found], axis=0)
+    np.testing.assert_allclose(stated / spread, 1, atol=0.25)
