@@ -95,7 +95,8 @@ def test_intervals_of_errors_that_the_structure_cannot_whiten(effect):
     for which, own in (("key parameters", slice(14)), ("disturbance gain", slice(14, None))):
         print(
             f"{next(iter(effect))}, {which}: coverage {within[own].min():.3f} to {within[own].max():.3f}, mean "
-            f"{within[own].mean():.3f}; empirical std over the stated one {ratio[own].min():.2f} to {ratio[own].max():.2f}"
+            f"{within[own].mean():.3f}; empirical std over the stated one {ratio[own].min():.2f} to "
+            f"{ratio[own].max():.2f}"
         )
     assert within[:14].min() >= 0.75
     assert within[:14].mean() >= 0.88
