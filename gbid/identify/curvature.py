@@ -18,7 +18,7 @@ from gbid.identify.exact_columns import PartHessian, exact_columns
 from gbid.identify.shooting import Iterate, Shooting
 
 FloatArray = npt.NDArray[np.float64]
-_REFRESH = 2  # iterations for which the columns of the disturbance gain serve
+_REFRESH = 2  # iterations for which exact columns serve
 _LEARNING = 6  # iterations, after which all columns are exact
 _MOST_DIFFERENCES = 8  # passes; with more they cost more than they save
 _LEAST = 0.01  # of Gauss-Newton's curvature
@@ -52,7 +52,8 @@ class StructuredSecant:
     solver shifts the Hessian itself. Each recording with parameters of its own learns for itself, as it depends on few
     of the unknowns, and among several is made convex by itself (`held_up`): else the solver would shift the whole
     Hessian for the sake of one. Where that is not the end within a few iterations, the valley is bent and there is
-    more to learn than it lasts: from then on all columns are exact, which takes a pass for each parameter.
+    more to learn than it lasts: from then on all columns are exact, made anew every few iterations with a pass for
+    each parameter.
 
     Notes
     -----
@@ -78,7 +79,9 @@ class StructuredSecant:
             return np.asarray(lam_f * here.hessian)
         kept = gauss_newton_of(problem, here)
         if calls >= _LEARNING:
-            left_out = all_columns(problem, unknowns, lam_gaps)
+            if (calls - _LEARNING) % _REFRESH == 0:
+                self._columns = all_columns(problem, unknowns, lam_gaps)
+            left_out = self._columns
         else:
             if calls % _REFRESH == 0:
                 self._columns = noise_columns(problem, unknowns, lam_gaps)
@@ -204,8 +207,13 @@ def _left_out(
         weight_held or len(meant) > 1
     ):  # parameters of several recordings move at once: the weight must not tell one of the others
         weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
-    exact = exact_columns(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), rows, weight)
-    parts = zip(problem.parts, rows, places, found, exact, gauss_newton_of(problem, iterate), strict=True)
+    kept = gauss_newton_of(problem, iterate)
+    curvatures = [
+        np.diag(gn.theta) / problem.theta_scale[part.index] ** 2 for part, gn in zip(problem.parts, kept, strict=True)
+    ]
+    ends = on_ends(problem, lam_gaps)
+    exact = exact_columns(problem, *problem.unpack(unknowns), ends, rows, curvatures, weight)
+    parts = zip(problem.parts, rows, places, found, exact, kept, strict=True)
     for part, wanted, at, own, columns, gn in parts:
         scale = problem.theta_scale[part.index]
         theta, mixed = columns

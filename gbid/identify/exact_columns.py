@@ -13,7 +13,9 @@ from gbid.identify.predictor import PredictorValues
 from gbid.identify.shooting import Part, Shooting
 
 FloatArray = npt.NDArray[np.float64]
-_DIFFERENCE = 1e-5  # step of a difference, in units in which the cost has curvature one
+# Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show
+# make much of an error in their columns; and of a parameter, where the cost does not depend on it.
+_DIFFERENCE, _MOST = 3e-8, 1e-4
 
 
 class PartHessian(NamedTuple):
@@ -37,6 +39,7 @@ def exact_columns(
     starts: FloatArray,
     ends: FloatArray,
     wanted: Sequence[Sequence[int]],
+    curvatures: Sequence[FloatArray],
     weight: FloatArray | None,
 ) -> list[PartHessian]:
     """Second derivatives of cost and weighted ends by each predictor's own parameters.
@@ -51,6 +54,9 @@ def exact_columns(
         Of the windows, and multipliers of where these end.
     wanted : sequence of sequence of int
         For each part which of its own parameters.
+    curvatures : sequence of (n_p,) array
+        For each part about the second derivatives of the cost by the parameters at its `index`, by which steps are
+        chosen.
     weight : (n_y, n_y) array or None
         Of the errors; None lets it change with them, as the logarithm's does, and is for columns that all parts share.
 
@@ -72,8 +78,8 @@ def exact_columns(
         return columns
     for k in range(max(map(len, wanted))):
         moved = [
-            (_moved(problem, part, theta, own[k]) if k < len(own) else (v, 1.0))
-            for part, own, v in zip(problem.parts, wanted, values, strict=True)
+            (_moved(part, theta, own[k], curvature) if k < len(own) else (v, 1.0))
+            for part, own, v, curvature in zip(problem.parts, wanted, values, curvatures, strict=True)
         ]
         there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
         if there is None:
@@ -85,11 +91,12 @@ def exact_columns(
     return columns
 
 
-def _moved(problem: Shooting, part: Part, theta: FloatArray, j: int) -> tuple[PredictorValues, float]:
+def _moved(part: Part, theta: FloatArray, j: int, curvature: FloatArray) -> tuple[PredictorValues, float]:
     """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
-    scale = problem.theta_scale[part.index]
-    step = _DIFFERENCE * float(scale[j] if part.tie is None else (np.abs(part.tie[j]) * scale).max())
     own = np.array(part.own(theta), float)
+    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
+    step = _DIFFERENCE * float(units[j] if part.tie is None else (np.abs(part.tie[j]) * units).max())
+    step = min(step, _MOST * max(abs(float(own[j])), 1.0))
     if own[j] + step > part.predictor.free[j].upper:
         step = -step
     own[j] += step

@@ -101,7 +101,8 @@ def information_over_records(
         passes.append((part, windows, sums, whole, linked))
     _follow_pieces(problem, passes, chains)
     hessian = np.zeros((n_all, n_all))
-    exact = _all_columns(problem, theta, starts, weight) if observed else []
+    curvatures = [np.diag(whole.hessian) for *_, whole, _ in passes]
+    exact = _all_columns(problem, theta, starts, curvatures, weight) if observed else []
     as_it_is = np.zeros((n_all, n_all))
     for k, (part, windows, sums, whole, linked) in enumerate(passes):
         along = [chains[int(window)][0] for window in windows]
@@ -153,7 +154,9 @@ def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[Floa
             chains[int(b)] = following, record
 
 
-def _all_columns(problem: Shooting, theta: FloatArray, starts: FloatArray, weight: FloatArray) -> list[PartHessian]:
+def _all_columns(
+    problem: Shooting, theta: FloatArray, starts: FloatArray, curvatures: list[FloatArray], weight: FloatArray
+) -> list[PartHessian]:
     """Exact columns of all parameters, with each piece as one window."""
     joined, kept = in_one_window(problem)
     _, starts = joined.unpack(problem.pack(theta, starts)[kept])
@@ -164,4 +167,4 @@ def _all_columns(problem: Shooting, theta: FloatArray, starts: FloatArray, weigh
             break
         ends[joined.links[:, 0]] = np.concatenate([own.starts for own in made])[joined.links[:, 1]]
     everything = [range(len(part.predictor.free)) for part in joined.parts]
-    return exact_columns(joined, theta, starts, ends, everything, weight)
+    return exact_columns(joined, theta, starts, ends, everything, curvatures, weight)
