@@ -14,7 +14,7 @@ from gbid.identify.shooting import Part, Shooting
 
 FloatArray = npt.NDArray[np.float64]
 # Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show
-# make much of an error in their columns; and of a parameter, where the cost does not depend on it.
+# make much of an error in their columns; and the most of a parameter, where the cost does not depend on it.
 _DIFFERENCE, _MOST = 3e-8, 1e-4
 
 
@@ -55,8 +55,8 @@ def exact_columns(
     wanted : sequence of sequence of int
         For each part which of its own parameters.
     curvatures : sequence of (n_p,) array
-        For each part about the second derivatives of the cost by the parameters at its `index`, by which steps are
-        chosen.
+        For each part its share in the second derivatives of the cost by the parameters at its `index`, roughly: steps
+        are chosen by their sum.
     weight : (n_y, n_y) array or None
         Of the errors; None lets it change with them, as the logarithm's does, and is for columns that all parts share.
 
@@ -65,6 +65,10 @@ def exact_columns(
     list of PartHessian
         In physical units; NaN where the errors overflow.
     """
+    curvature = np.zeros(problem.n_theta)
+    for part, share in zip(problem.parts, curvatures, strict=True):
+        curvature[part.index] += share
+    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
     values = problem.values(theta)
     here = own_gradients(problem, values, starts, ends, weight)
     counts = [part.blocks.n_windows for part in problem.parts]
@@ -78,8 +82,8 @@ def exact_columns(
         return columns
     for k in range(max(map(len, wanted))):
         moved = [
-            (_moved(part, theta, own[k], curvature) if k < len(own) else (v, 1.0))
-            for part, own, v, curvature in zip(problem.parts, wanted, values, curvatures, strict=True)
+            (_moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0))
+            for part, own, v in zip(problem.parts, wanted, values, strict=True)
         ]
         there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
         if there is None:
@@ -91,12 +95,14 @@ def exact_columns(
     return columns
 
 
-def _moved(part: Part, theta: FloatArray, j: int, curvature: FloatArray) -> tuple[PredictorValues, float]:
+def _moved(
+    problem: Shooting, part: Part, theta: FloatArray, j: int, units: FloatArray
+) -> tuple[PredictorValues, float]:
     """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
     own = np.array(part.own(theta), float)
-    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
-    step = _DIFFERENCE * float(units[j] if part.tie is None else (np.abs(part.tie[j]) * units).max())
-    step = min(step, _MOST * max(abs(float(own[j])), 1.0))
+    onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
+    step = _DIFFERENCE * float((onto * units[part.index]).max())
+    step = min(step, _MOST * max(abs(float(own[j])), float((onto * problem.theta_scale[part.index]).max())))
     if own[j] + step > part.predictor.free[j].upper:
         step = -step
     own[j] += step
