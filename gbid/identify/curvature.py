@@ -53,7 +53,8 @@ class StructuredSecant:
     of the unknowns, and among several is made convex by itself (`held_up`): else the solver would shift the whole
     Hessian for the sake of one. Where that is not the end within a few iterations, the valley is bent and there is
     more to learn than it lasts: from then on all columns are exact, made anew every few iterations with a pass for
-    each parameter.
+    each parameter; not among recordings with gains of their own, of which single ones would run to the edge of an
+    unstable predictor.
 
     Notes
     -----
@@ -65,6 +66,7 @@ class StructuredSecant:
 
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
+        self._several = len(gains_apart(problem)) > 1
         self._columns: list[PartHessian] = []
         self._calls = 0
         self._learned = [np.zeros((len(part.index),) * 2) for part in problem.parts]
@@ -78,7 +80,8 @@ class StructuredSecant:
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
         kept = gauss_newton_of(problem, here)
-        if calls >= _LEARNING:
+        exact = calls >= _LEARNING and not self._several
+        if exact:
             if (calls - _LEARNING) % _REFRESH == 0:
                 self._columns = all_columns(problem, unknowns, lam_gaps)
             left_out = self._columns
@@ -92,7 +95,7 @@ class StructuredSecant:
                 PartHessian(columns.theta + learned, columns.mixed)
                 for columns, learned in zip(self._columns, self._learned, strict=True)
             ]
-        if calls >= _LEARNING or len(left_out) > 1:
+        if exact or len(left_out) > 1:
             left_out = [
                 PartHessian(held_up(own.theta, gn.theta), own.mixed) for own, gn in zip(left_out, kept, strict=True)
             ]
@@ -146,6 +149,11 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
     ratio, along = np.linalg.eigh(inward.T @ left_out @ inward)
     outward = outward @ along
     return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
+
+
+def gains_apart(problem: Shooting) -> set[tuple[int, ...]]:
+    """Return the sets of disturbance gains that recordings have for themselves."""
+    return {tuple(part.noise.tolist()) for part in problem.parts} - {()}
 
 
 def noise_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[PartHessian]:
