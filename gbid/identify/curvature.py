@@ -53,8 +53,7 @@ class StructuredSecant:
     of the unknowns, and among several is made convex by itself (`held_up`): else the solver would shift the whole
     Hessian for the sake of one. Where that is not the end within a few iterations, the valley is bent and there is
     more to learn than it lasts: from then on all columns are exact, made anew every few iterations with a pass for
-    each parameter; not among recordings with gains of their own, of which single ones would run to the edge of an
-    unstable predictor.
+    each parameter. Recordings with gains of their own keep what is learned.
 
     Notes
     -----
