@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.case import N_STATES, SAMPLE_TIME, STRUCTURE, Samples
-from gbid.identify.assembly import automatic_window
-from gbid.identify.blocks import cut
 from gbid.identify.data import gather
-from gbid.identify.engine import CompiledEngine, pattern_of
-from gbid.identify.kernel_source import KernelPattern
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.engine import CompiledEngine, pattern_of
+from gbid.identify.kernel.source import KernelPattern
+from gbid.identify.kernel.sweep import block_sums, powers_of, sweep
+from gbid.identify.nlp.assembly import automatic_window
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import block_sums, powers_of, sweep
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,13 @@ import pytest
 from fit_cases import KEY, TS, levels, smooth
 
 import gbid
-from gbid.identify.adjoint import lagrangian_gradient
-from gbid.identify.assembly import assemble
-from gbid.identify.curvature import entries_of, noise_columns
 from gbid.identify.data import gather
-from gbid.identify.one_window import in_one_window
-from gbid.identify.problem import build_problem
-from gbid.identify.sweep import scan
+from gbid.identify.kernel.sweep import scan
+from gbid.identify.nlp.adjoint import lagrangian_gradient
+from gbid.identify.nlp.assembly import assemble
+from gbid.identify.nlp.hessian import entries_of, noise_columns
+from gbid.identify.nlp.nlp_problem import build_problem
+from gbid.identify.nlp.one_window import in_one_window
 
 BEGIN = {**KEY, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
 

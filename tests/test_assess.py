@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.control import HalfSine, PStructure, scheduled
-from gbid.control.point_assessment import FIGURES
+from gbid.control import HalfSine, PStructure
+from gbid.control.assess.point_assessment import FIGURES
+from gbid.control.controllers import scheduled
 from gbid.errors import UsageError
 
 MACHINE = gbid.load_model("theisen2016")

@@ -13,7 +13,7 @@ import pytest
 from benchmarks import campaign_speed, fit_speed, table
 from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, sampled
 from benchmarks.floor import operations_per_sample
-from gbid.identify.kernel_source import KernelPattern
+from gbid.identify.kernel.source import KernelPattern
 
 STORED = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.json"
 

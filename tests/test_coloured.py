@@ -5,12 +5,12 @@ import pytest
 
 import gbid
 from gbid.errors import UsageError
-from gbid.identify import curvature
-from gbid.identify.assembly import assemble
-from gbid.identify.curvature import StructuredSecant, held_up
 from gbid.identify.data import gather
-from gbid.identify.one_window import in_one_window, in_windows
-from gbid.identify.problem import build_problem
+from gbid.identify.nlp import hessian as curvature
+from gbid.identify.nlp.assembly import assemble
+from gbid.identify.nlp.hessian import StructuredSecant, held_up
+from gbid.identify.nlp.nlp_problem import build_problem
+from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.rig import FilmStiffening, Machine, Prbs, ProcessNoise, SensorChain, Unbalance, record
 from gbid.structure import evaluate
 

@@ -11,9 +11,9 @@ from scipy.linalg import expm
 
 from gbid.discretise import Dual, delayed_taps, discretise
 from gbid.errors import UsageError
-from gbid.identify.blocks import cut
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.sweep import residuals
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import residuals
 from gbid.structure import LinearModel, LinearStructure, Parameter, Plant, RotorBearing, evaluate, with_pade
 
 H = 0.1

@@ -29,12 +29,12 @@ from fit_cases import (
 from gbid import compiling
 from gbid.errors import UsageError
 from gbid.identify import fit
-from gbid.identify.blocks import Piece, cut
-from gbid.identify.engine import CompiledEngine, choose_engine, pattern_of
-from gbid.identify.kernel_source import kernel_source
-from gbid.identify.numpy_pass import run_with_numpy
+from gbid.identify.kernel.blocks import Piece, cut
+from gbid.identify.kernel.engine import CompiledEngine, choose_engine, pattern_of
+from gbid.identify.kernel.numpy_pass import run_with_numpy
+from gbid.identify.kernel.source import kernel_source
+from gbid.identify.kernel.sweep import block_sums, powers_of, sweep
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import block_sums, powers_of, sweep
 from gbid.structure import PiezoPair, Plant, RotorBearing
 
 COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
@@ -192,7 +192,7 @@ def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):
     predictor, theta, blocks, starts, weight = problem("every", (900, 133), 10)
     v = predictor.at(theta)
     whole = sweep(v, blocks, starts, weight, run_with_numpy)
-    monkeypatch.setattr("gbid.identify.numpy_pass._CHUNK_BYTES", 20_000)
+    monkeypatch.setattr("gbid.identify.kernel.numpy_pass._CHUNK_BYTES", 20_000)
     assert_same_sums(sweep(v, blocks, starts, weight, run_with_numpy), whole, 1e-12)
 
 

@@ -7,8 +7,8 @@ from scipy.signal import lfilter
 from test_adjoint import problem
 
 from gbid.identify import fit
-from gbid.identify.one_window import in_one_window
-from gbid.identify.over_records import by_piece, information_over_records
+from gbid.identify.nlp.one_window import in_one_window
+from gbid.identify.uncertainty.over_records import by_piece, information_over_records
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 

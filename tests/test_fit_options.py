@@ -24,9 +24,9 @@ from fit_cases import (
 
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit
-from gbid.identify.blocks import cut
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.sweep import residuals
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import residuals
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, Plant, RotorBearing, evaluate
 

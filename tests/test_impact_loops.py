@@ -26,7 +26,7 @@ from gbid.control import (
     scheduled,
     study_impacts,
 )
-from gbid.control.blow_figures import _decay
+from gbid.control.impact.figures_of_merit import _decay
 from gbid.errors import UsageError
 from gbid.rig import Hammer, Impact, Machine, SampledController, SensorChain, Stationary, record
 

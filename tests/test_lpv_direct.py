@@ -8,10 +8,10 @@ from study_rig import PAPER, POINTS, truth_at
 
 import gbid
 from gbid.errors import DataError, UsageError
-from gbid.identify.assembly import assemble, full_start
 from gbid.identify.data import gather
-from gbid.identify.problem import build_problem
-from gbid.identify.ties import Ties
+from gbid.identify.nlp.assembly import assemble, full_start
+from gbid.identify.nlp.nlp_problem import build_problem
+from gbid.identify.nlp.ties import Ties
 from gbid.lpv import LPVModel
 from gbid.rig import Machine, Prbs, SensorChain, Unbalance, record
 from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing

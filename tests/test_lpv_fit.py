@@ -10,9 +10,9 @@ from study_rig import CAMPAIGN, PAPER, POINTS
 import gbid
 from gbid.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
-from gbid.lpv.mixed import generalised, sandwich, with_scatter
-from gbid.lpv.order import lack_of_fit
-from gbid.lpv.terms import exponents_of, orthonormal
+from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
+from gbid.lpv.surface_fit.order import lack_of_fit
+from gbid.lpv.surface_fit.terms import exponents_of, orthonormal
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
 

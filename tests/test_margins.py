@@ -20,7 +20,7 @@ from gbid.control import (
     static_force_gain,
     static_stiffness_ratio,
 )
-from gbid.control.margins import structured_singular_values
+from gbid.control.loop.margins import structured_singular_values
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 

@@ -8,12 +8,12 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from gbid.control.closed_matrices import families_of, loop_equations
-from gbid.control.limits import Limits
-from gbid.control.peaks import find_peaks, peak_slopes
-from gbid.control.pieces import Problem
-from gbid.control.polish import merit, polish
-from gbid.control.spectrum import Eigensystem, pair_of
+from gbid.control.tune.search.limits import Limits
+from gbid.control.tune.search.loop_family import families_of, loop_equations
+from gbid.control.tune.search.peaks import find_peaks, peak_slopes
+from gbid.control.tune.search.problem import Problem
+from gbid.control.tune.search.spectrum import Eigensystem, pair_of
+from gbid.control.tune.search.sqp import merit, polish
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:

@@ -13,15 +13,15 @@ from typer.testing import CliRunner
 import gbid
 from gbid import report
 from gbid.cli.main import app
-from gbid.control.blows import Blow
-from gbid.control.impact_study import ImpactStudy
-from gbid.control.impact_validation import ImpactValidation
+from gbid.control.impact.measured import Blow
+from gbid.control.impact.study import ImpactStudy
+from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import DataError, UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job
 from gbid.lpv import CHARACTERISTICS, fit_lpv
 from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
-from gbid.lpv.estimates import Estimates
+from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.report.paper import figures, stage, tables
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
 from gbid.report.paper.reproduction import _values, judged, reproduction

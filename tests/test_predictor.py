@@ -6,9 +6,9 @@ from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit
 from scipy.linalg import expm
 
 from gbid.errors import UsageError
-from gbid.identify.blocks import cut
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.sweep import residuals
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import residuals
 from gbid.structure import LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, evaluate
 
 GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}

@@ -24,7 +24,7 @@ from gbid.rig import (
     record,
     unbalance_orbit,
 )
-from gbid.rig.sensors import encoder_angle
+from gbid.rig.machine.sensors import encoder_angle
 
 TS = 2e-4
 FIG7 = {"pressure_bar": 5.0, "speed_rpm": 6000.0}

@@ -12,10 +12,10 @@ from scipy.stats import binom
 
 import gbid
 from gbid.control import find_blows
-from gbid.control.blows import pulse_forcing, pulses_of
-from gbid.control.coloured import autocovariance, sandwich
-from gbid.control.ringdown_basis import Scale, ring_data
-from gbid.control.ringdown_solve import RingProblem
+from gbid.control.impact.measured import pulse_forcing, pulses_of
+from gbid.control.impact.ringdown.basis import Scale, ring_data
+from gbid.control.impact.ringdown.coloured import autocovariance, sandwich
+from gbid.control.impact.ringdown.separable import RingProblem
 from gbid.errors import DataError, UsageError
 
 H = 2e-4

@@ -19,7 +19,7 @@ from gbid.control import (
     sample_plant,
     sampled_loop,
 )
-from gbid.control.norm import largest_singular_values
+from gbid.control.loop.norm import largest_singular_values
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import gbid
 from gbid.control import exact_plant, p_controller, peak_gain, sensitivity_data
-from gbid.control.norm import largest_singular_values
+from gbid.control.loop.norm import largest_singular_values
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from fit_cases import EVERY, EVERY_AT, KEY, TS, H, fit_data, piezo_motion, smooth
 
-from gbid.identify.blocks import cut
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.sweep import residuals, sweep
 from gbid.identify.predictor import build_predictor
-from gbid.identify.sweep import residuals, sweep
 from gbid.structure import RotorBearing
 
 WEIGHT = np.array([[2.0, 0.7], [0.7, 1.0]])

@@ -1,25 +1,29 @@
 """Controllers, closed loops, damping, and what a design is worth."""
 
-from gbid.control.assess import Assessment, assess
-from gbid.control.blow_figures import BlowFigures
-from gbid.control.blows import Blow, find_blows
-from gbid.control.compare import Comparison, compare_designs
-from gbid.control.controller_file import load_controller, save_controller
-from gbid.control.controllers import p_controller
-from gbid.control.curves import SensitivityData, sensitivity_data
-from gbid.control.damping import smallest_damping
-from gbid.control.design import ControllerDesign
-from gbid.control.export_c import export_c
-from gbid.control.filters import BiquadStructure, PDStructure, PStructure
-from gbid.control.forces import force_entry, static_force_gain
-from gbid.control.gain_result import GainResult, SearchStep, WorstMode
-from gbid.control.impact import HalfSine, ImpactResponse, impact_response
-from gbid.control.impact_modes import ringing_modes
-from gbid.control.impact_store import load_impacts, save_impacts
-from gbid.control.impact_study import ImpactStudy, study_impacts
-from gbid.control.impact_validation import ImpactValidation, validate_impact
-from gbid.control.loop import close_loop
-from gbid.control.margins import (
+from gbid.control.assess.assess import Assessment, assess
+from gbid.control.assess.compare import Comparison, compare_designs
+from gbid.control.assess.point_assessment import PointAssessment
+from gbid.control.controllers.controller_file import load_controller, save_controller
+from gbid.control.controllers.design import ControllerDesign
+from gbid.control.controllers.export_c import export_c
+from gbid.control.controllers.filters import BiquadStructure, PDStructure, PStructure
+from gbid.control.controllers.proportional import p_controller
+from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled
+from gbid.control.controllers.structures import controller_model, controller_structure
+from gbid.control.impact.figures_of_merit import BlowFigures
+from gbid.control.impact.half_sine import HalfSine, ImpactResponse, impact_response
+from gbid.control.impact.impact_store import load_impacts, save_impacts
+from gbid.control.impact.measured import Blow, find_blows
+from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
+from gbid.control.impact.ringdown.ringdown_result import RingDown
+from gbid.control.impact.ringing_modes import ringing_modes
+from gbid.control.impact.study import ImpactStudy, study_impacts
+from gbid.control.impact.validation import ImpactValidation, validate_impact
+from gbid.control.loop.close import close_loop
+from gbid.control.loop.curves import SensitivityData, sensitivity_data
+from gbid.control.loop.damping import smallest_damping
+from gbid.control.loop.force_entry import force_entry, static_force_gain
+from gbid.control.loop.margins import (
     DiskMargin,
     LoopMargins,
     disk_margin,
@@ -29,19 +33,15 @@ from gbid.control.margins import (
     static_amplification,
     static_stiffness_ratio,
 )
-from gbid.control.maximise import maximise_damping
-from gbid.control.norm import Peak, peak_gain
-from gbid.control.pareto_front import ParetoFront, pareto
-from gbid.control.point_assessment import PointAssessment
-from gbid.control.ringdown import fit_ringdown
-from gbid.control.ringdown_result import RingDown
-from gbid.control.sampled import SampledLoop, exact_plant, sampled_loop
-from gbid.control.sampling import sample_controller, sample_plant
-from gbid.control.scheduled import Scheduled, controller_at, scheduled
-from gbid.control.sensitivity import Sensitivities, sensitivities
-from gbid.control.structures import controller_model, controller_structure
-from gbid.control.tuning import tune
-from gbid.control.uncertainty import Uncertainty
+from gbid.control.loop.norm import Peak, peak_gain
+from gbid.control.loop.sampled import SampledLoop, exact_plant, sampled_loop
+from gbid.control.loop.sampling import sample_controller, sample_plant
+from gbid.control.loop.sensitivity import Sensitivities, sensitivities
+from gbid.control.tune.gain_result import GainResult, SearchStep, WorstMode
+from gbid.control.tune.maximise import maximise_damping
+from gbid.control.tune.pareto import ParetoFront, pareto
+from gbid.control.tune.tune import tune
+from gbid.control.tune.uncertainty import Uncertainty
 
 __all__ = [
     "Assessment",

@@ -11,7 +11,7 @@ from gbid.experiment.checks_fits import structure_or_none
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import Location, nearest
 from gbid.experiment.structures import lpv_actuators
-from gbid.lpv.terms import check_points, chosen_exponents
+from gbid.lpv.surface_fit.terms import check_points, chosen_exponents
 from gbid.structure import KEY_PARAMETERS
 
 Found = Iterator[tuple[Location, str]]

@@ -10,7 +10,7 @@ from gbid.experiment.problems import Location, nearest
 from gbid.experiment.rig_parts import faults_of, machine_at, rig_experiment
 from gbid.experiment.schema_rig import RigSection
 from gbid.experiment.structures import rig_model
-from gbid.rig.excitation import whole_samples
+from gbid.rig.excitation.prbs import whole_samples
 
 Found = Iterator[tuple[Location, str]]
 Check = Callable[[Experiment], Found]

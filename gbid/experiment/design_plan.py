@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from gbid.control import HalfSine, Scheduled, controller_structure, scheduled
-from gbid.control.structures import KINDS
+from gbid.control import HalfSine, Scheduled, controller_structure
+from gbid.control.controllers import scheduled
+from gbid.control.controllers.structures import KINDS
 from gbid.errors import UsageError
 from gbid.experiment.load import Experiment
 from gbid.experiment.problems import nearest

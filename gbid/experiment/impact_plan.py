@@ -7,7 +7,7 @@ from math import modf
 from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller, p_controller
-from gbid.control.sampling import sample_controller
+from gbid.control.loop.sampling import sample_controller
 from gbid.errors import UsageError
 from gbid.experiment.keys import file_digest
 from gbid.experiment.load import Experiment

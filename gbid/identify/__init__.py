@@ -3,12 +3,12 @@
 from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.multistart import MultiStart, fit_multistart
+from gbid.identify.nlp.watch import Progress
 from gbid.identify.result import FitResult
 from gbid.identify.store import load_fit, save_fit
-from gbid.identify.table import FitTable
-from gbid.identify.table_store import load_table, save_table
-from gbid.identify.tabulate import TableEntry, tabulate
-from gbid.identify.watch import Progress
+from gbid.identify.table.fit_table import FitTable
+from gbid.identify.table.table_store import load_table, save_table
+from gbid.identify.table.tabulate import TableEntry, tabulate
 from gbid.identify.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [

@@ -11,17 +11,17 @@ import numpy as np
 
 from gbid.discretise import Hold
 from gbid.errors import UsageError
-from gbid.identify.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.data import FitData, gather
-from gbid.identify.engine import EngineName
+from gbid.identify.kernel.engine import EngineName
+from gbid.identify.nlp.assembly import Scope, assemble, automatic_window, full_start, offset_starts
+from gbid.identify.nlp.nlp_problem import InitialState, build_problem, unknown_bounds, window_length
+from gbid.identify.nlp.shooting import Criterion
+from gbid.identify.nlp.solver import UNSTABLE, solve
+from gbid.identify.nlp.watch import Progress, Stop
 from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
-from gbid.identify.problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.result import FitResult
-from gbid.identify.shooting import Criterion
-from gbid.identify.solver import UNSTABLE, solve
 from gbid.identify.start import start_values
-from gbid.identify.watch import Progress, Stop
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
 from gbid.threads import one_blas_thread

@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.discretise import Dual
-from gbid.identify.assembly import Assembly
-from gbid.identify.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.data import FitData
-from gbid.identify.propagation import mode_slopes, spread, static_gain_slopes
+from gbid.identify.nlp.assembly import Assembly
+from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.nlp.solver import Solution
 from gbid.identify.result import FitResult
-from gbid.identify.shooting import Shooting
-from gbid.identify.solver import Solution
+from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
+from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.whiteness import whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 

@@ -2,16 +2,16 @@
 
 from gbid.lpv.basis import EXPONENTS, TERMS, basis, polynomial, regressors
 from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics
-from gbid.lpv.direct import fit_lpv_direct
+from gbid.lpv.direct.fit_lpv_direct import fit_lpv_direct
 from gbid.lpv.domain import Domain
-from gbid.lpv.estimates import Estimates
-from gbid.lpv.fit_store import load_lpv_fit, save_lpv_fit
 from gbid.lpv.load import load_model, save_model
-from gbid.lpv.lpv_fit import LPVFit
 from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
-from gbid.lpv.order import OrderScore
-from gbid.lpv.outliers import Outlier
-from gbid.lpv.surfaces import fit_lpv
+from gbid.lpv.surface_fit.estimates import Estimates
+from gbid.lpv.surface_fit.fit_lpv import fit_lpv
+from gbid.lpv.surface_fit.lpv_fit import LPVFit
+from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
+from gbid.lpv.surface_fit.order import OrderScore
+from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.lpv.tables import (
     Correction,
     PiezoController,

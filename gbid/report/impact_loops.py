@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from gbid.control.impact_study import ImpactStudy
-from gbid.control.impact_validation import ImpactValidation
+from gbid.control.impact.study import ImpactStudy
+from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
 from gbid.report.canvas import TWO_COLUMNS, FloatArray, at_point, legend_above, letter, panels, series, styled
 from gbid.report.of_results import validation_along

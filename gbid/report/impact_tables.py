@@ -10,8 +10,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gbid.control.impact_store import mode_rows, response_rows
-from gbid.control.impact_study import ImpactStudy
+from gbid.control.impact.impact_store import mode_rows, response_rows
+from gbid.control.impact.study import ImpactStudy
 from gbid.lpv import ReferenceModes
 from gbid.report.rows import Row
 from gbid.report.tables import new_table

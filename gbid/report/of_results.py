@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.control.impact_study import ImpactStudy
-from gbid.control.impact_validation import ImpactValidation
+from gbid.control.impact.study import ImpactStudy
+from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
 from gbid.lpv import CHARACTERISTICS, LPVFit
 from gbid.recording import Recording

@@ -1,20 +1,20 @@
 """The virtual test rig: the published machine with exact delays, its experiments and its sensors."""
 
-from gbid.rig.controller import SampledController
-from gbid.rig.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
-from gbid.rig.excitation import Prbs, Stationary
+from gbid.rig.excitation.hammer import Hammer, Impact
+from gbid.rig.excitation.prbs import Prbs, Stationary
+from gbid.rig.excitation.run_up import RunUp
+from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults
-from gbid.rig.hammer import Hammer, Impact
-from gbid.rig.machine import ActuatorTruth, Machine, RotorBearingTruth, Unbalance
-from gbid.rig.piezo import PiezoStack, PiezoStacks
+from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
+from gbid.rig.machine.machine import ActuatorTruth, Machine, RotorBearingTruth, Unbalance
+from gbid.rig.machine.piezo import PiezoStack, PiezoStacks
+from gbid.rig.machine.scatter import Scatter, scatter_random, scattered
+from gbid.rig.machine.sensors import SensorChain
 from gbid.rig.provenance import drawn_truth, saturations, touch_downs
-from gbid.rig.response import Motion, driven_motion, unbalance_orbit
-from gbid.rig.run_up import RunUp
-from gbid.rig.scatter import Scatter, scatter_random, scattered
-from gbid.rig.sensors import SensorChain
 from gbid.rig.simulate import Experiment, record
-from gbid.rig.staircase import StackStaircase, Staircase
-from gbid.rig.stepping import SteppedMotion, stepped_motion
+from gbid.rig.stepping.response import Motion, driven_motion, unbalance_orbit
+from gbid.rig.stepping.stepped_motion import SteppedMotion, stepped_motion
 
 __all__ = [
     "ActuatorTruth",

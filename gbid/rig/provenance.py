@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gbid.recording import FloatArray, Recording
-from gbid.rig.controller import SampledController
-from gbid.rig.machine import Machine
-from gbid.rig.scatter import Scatter
+from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.machine import Machine
+from gbid.rig.machine.scatter import Scatter
 
 Span = tuple[float, float]
 

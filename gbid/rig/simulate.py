@@ -10,19 +10,19 @@ import numpy as np
 
 from gbid.errors import DataError, UsageError
 from gbid.recording import FloatArray, Recording
-from gbid.rig.controller import SampledController
-from gbid.rig.excitation import Prbs, Stationary, whole_samples
+from gbid.rig.excitation.hammer import Hammer
+from gbid.rig.excitation.prbs import Prbs, Stationary, whole_samples
+from gbid.rig.excitation.run_up import RunUp, Turning
+from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults, with_faults
-from gbid.rig.forces import Forces, draw_noise, draw_whirl
-from gbid.rig.hammer import Hammer
-from gbid.rig.machine import ActuatorTruth, Machine
+from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.machine import ActuatorTruth, Machine
+from gbid.rig.machine.scatter import Scatter, scatter_random, scattered
+from gbid.rig.machine.sensors import TURN, encoder_angle, quantised, runout
 from gbid.rig.provenance import provenance_of, spans
-from gbid.rig.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
-from gbid.rig.run_up import RunUp, Turning
-from gbid.rig.scatter import Scatter, scatter_random, scattered
-from gbid.rig.sensors import TURN, encoder_angle, quantised, runout
-from gbid.rig.staircase import StackStaircase, Staircase
-from gbid.rig.stepping import RigEngine, SteppedMotion, stepped_motion
+from gbid.rig.stepping.forces import Forces, draw_noise, draw_whirl
+from gbid.rig.stepping.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
+from gbid.rig.stepping.stepped_motion import RigEngine, SteppedMotion, stepped_motion
 
 Experiment = Stationary | Prbs | Staircase | StackStaircase | Hammer | RunUp
 Simulation = Literal["auto", "exact", "stepping"]

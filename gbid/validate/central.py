@@ -11,7 +11,8 @@ from scipy.special import stdtrit
 
 from gbid.brief import brief, estimates
 from gbid.errors import DataError, UsageError
-from gbid.identify import FitResult, FitTable, TableEntry, tabulate
+from gbid.identify import FitResult, FitTable, TableEntry
+from gbid.identify.table import tabulate
 
 FloatArray = npt.NDArray[np.float64]
 

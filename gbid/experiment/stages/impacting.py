@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from gbid.characterise.store import write_csv
-from gbid.control.impact_store import load_impacts, mode_rows, response_rows, save_impacts
-from gbid.control.impact_study import ImpactStudy, study_impacts
+from gbid.control.impact.impact_store import load_impacts, mode_rows, response_rows, save_impacts
+from gbid.control.impact.study import ImpactStudy, study_impacts
 from gbid.errors import GbidError
 from gbid.experiment.impact_plan import (
     ImpactRecording,

@@ -17,11 +17,12 @@ from gbid.experiment.stages.pairing import model_key
 from gbid.experiment.stages.performing import produce
 from gbid.experiment.stages.prefiltering import load_fit_input
 from gbid.experiment.structures import lpv_actuators, make_structure
-from gbid.identify import TableEntry, tabulate
+from gbid.identify import TableEntry
+from gbid.identify.table import tabulate
 from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit
-from gbid.lpv.fit_store import KIND, write_uncertainty
 from gbid.lpv.load import write_model
 from gbid.lpv.model import ACTUATOR_PARAMETERS
+from gbid.lpv.surface_fit.lpv_fit_store import KIND, write_uncertainty
 from gbid.structure import Plant, RotorBearing
 from gbid.validate.store import load_actuators
 

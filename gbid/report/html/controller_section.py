@@ -17,7 +17,7 @@ from gbid.control import (
     impact_response,
     smallest_damping,
 )
-from gbid.control.curves import sensitivity_data
+from gbid.control.loop.curves import sensitivity_data
 from gbid.errors import GbidError
 from gbid.lpv import LPVModel
 from gbid.report.canvas import at_point

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gbid.control.impact_store import load_impacts
-from gbid.control.impact_study import ImpactStudy
+from gbid.control.impact.impact_store import load_impacts
+from gbid.control.impact.study import ImpactStudy
 from gbid.errors import UsageError
 from gbid.experiment.stages import standing
 from gbid.experiment.stages.impacting import loops_without_controller, study_tasks

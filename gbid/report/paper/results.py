@@ -7,9 +7,9 @@ from typing import TypeVar
 
 from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.control import GainResult, p_controller, sensitivities, tune
-from gbid.control.impact_store import load_impacts
-from gbid.control.impact_study import ImpactStudy
-from gbid.control.tuned_design import TunedDesign
+from gbid.control.assess.tuned_design import TunedDesign
+from gbid.control.impact.impact_store import load_impacts
+from gbid.control.impact.study import ImpactStudy
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.checks_static import wanted_signals
 from gbid.experiment.pairs import fit_models
@@ -21,7 +21,8 @@ from gbid.experiment.stages.impacting import study_tasks
 from gbid.experiment.stages.recordings import load_made
 from gbid.experiment.stages.surfaces import read_surfaces
 from gbid.experiment.structures import rig_model
-from gbid.identify import TableEntry, tabulate
+from gbid.identify import TableEntry
+from gbid.identify.table import tabulate
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.tables import ProportionalDesign
 from gbid.recording import Recording

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.control.impact_store import response_rows
+from gbid.control.impact.impact_store import response_rows
 from gbid.errors import DataError
 from gbid.lpv import TERMS
 from gbid.report.canvas import at_point

@@ -1,0 +1,133 @@
+"""What a design is worth: the same figures for each, point by point and at their worst."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from gbid.brief import brief
+from gbid.control.assess.point_assessment import FIGURES, LOWEST_IS_WORST, PointAssessment, assess_point
+from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.controllers.structures import controller_structure
+from gbid.control.impact.half_sine import HalfSine
+from gbid.control.loop.sampling import Method
+from gbid.errors import UsageError
+from gbid.lpv import LPVModel
+from gbid.structure.linear import Structure
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """A design over its operating points.
+
+    Attributes
+    ----------
+    name : str
+    structure : str
+        Name of the controller's structure.
+    gains : dict of str to float
+    points : tuple of PointAssessment
+        In the order asked for.
+    sample_time : float
+        Of the loop as it runs [s].
+    computation_s : float
+        Its time for computation [s].
+    method : str
+        How the controller was sampled.
+    impact : HalfSine
+        The blow; its direction is turned to x and y.
+    """
+
+    name: str
+    structure: str
+    gains: Mapping[str, float]
+    points: tuple[PointAssessment, ...]
+    sample_time: float
+    computation_s: float
+    method: str
+    impact: HalfSine
+
+    def __repr__(self) -> str:
+        worst = {
+            name: f"{value:.5g} at {point.pressure_bar:g} bar, {point.speed_rpm:g} rpm"
+            for name, (value, point) in self.worst.items()
+        }
+        about = (
+            f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
+        )
+        return brief(self, about, gains=self.gains, **worst)
+
+    @property
+    def stable(self) -> bool:
+        """Whether the continuous loop is, everywhere."""
+        return all(point.stable for point in self.points)
+
+    @property
+    def worst(self) -> dict[str, tuple[float, PointAssessment]]:
+        """Worst value of each of `FIGURES` and the point where it occurs."""
+        found = {}
+        for name in FIGURES:
+            entries = [(point.figures()[name], point) for point in self.points]
+            found[name] = (min if name in LOWEST_IS_WORST else max)(entries, key=lambda entry: entry[0])
+        return found
+
+
+def assess(
+    lpv: LPVModel,
+    controller: str | Structure,
+    gains: Mapping[str, float],
+    points: Sequence[tuple[float, float]] | None = None,
+    *,
+    name: str = "",
+    sample_time: float = 2e-4,
+    computation_s: float | None = None,
+    method: Method = "tustin",
+    impact: HalfSine | None = None,
+) -> Assessment:
+    """Work out what a design is worth over operating points.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+        With actuators.
+    controller : str or Structure
+        ``"P"``, ``"PD"``, ``"biquad"`` with their defaults, or a structure: of `controller_structure`, of
+        `scheduled`, or your own.
+    gains : dict of str to float
+        A value for every parameter of the structure.
+    points : sequence of (pressure_bar, speed_rpm), optional
+        The model's operating points when not given.
+    name : str
+        Of the design, for tables; the structure's when not given.
+    sample_time : float
+        Of the loop as it runs [s].
+    computation_s : float, optional
+        Time from the sample of p to the change of r [s]; one sample when not given.
+    method : {"tustin", "zoh"}
+        How the controller is sampled.
+    impact : HalfSine, optional
+        Reference blow, along x and along y; the default of `HalfSine` when not given.
+
+    Returns
+    -------
+    Assessment
+        Continuous figures with the model's Pade delays, sampled ones with exact delays.
+
+    Raises
+    ------
+    UsageError
+        For a model without actuators or points, points outside its domain, or gains that do not fit.
+    """
+    structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
+    chosen = tuple(lpv.operating_points if points is None else points)
+    if not chosen:
+        raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
+    impact = impact or HalfSine()
+    computation = sample_time if computation_s is None else computation_s
+    results = tuple(
+        assess_point(lpv, structure, gains, (float(pressure), float(speed)), sample_time, computation, method, impact)
+        for pressure, speed in chosen
+    )
+    return Assessment(
+        name or structure.name, structure.name, dict(gains), results, sample_time, computation, method, impact
+    )

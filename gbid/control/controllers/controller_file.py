@@ -1,0 +1,239 @@
+"""Controllers in YAML files, for the real-time target and for a later session."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid._version import __version__
+from gbid.atomic import atomic_path
+from gbid.control.controllers.controller_table import (
+    LOOP,
+    SCHEMA_VERSION,
+    ControllerFile,
+    ControllerModelTable,
+    MatricesTable,
+    parse,
+)
+from gbid.control.controllers.design import ControllerDesign, Point
+from gbid.control.controllers.filters import INPUTS, OUTPUTS
+from gbid.control.controllers.scheduled import Scheduled, scheduled
+from gbid.control.controllers.structures import KINDS, controller_structure
+from gbid.control.loop.sampling import Method
+from gbid.errors import UsageError
+from gbid.lpv import Domain
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure
+from gbid.yaml_file import YamlFile, read_yaml, write_yaml
+
+
+def save_controller(
+    path: str | Path,
+    structure: Structure | Scheduled | str,
+    gains: Mapping[str, float],
+    *,
+    name: str = "",
+    sample_time: float = 2e-4,
+    method: Method = "tustin",
+    plant: str = "",
+    points: Sequence[Point] = (),
+    provenance: Mapping[str, str | float] | None = None,
+    overwrite: bool = False,
+) -> ControllerDesign:
+    """Write a controller as a YAML file: structure, gains with units, sampling and its matrices.
+
+    Parameters
+    ----------
+    path : str or path
+        The file; ends in .yaml.
+    structure : Structure, Scheduled or str
+        See `controller_structure`.
+    gains : dict of str to float
+        A value for every parameter of the structure.
+    name : str
+        The structure's when not given.
+    sample_time : float
+        T_s of the sampled matrices [s].
+    method : {"tustin", "zoh"}
+        How it is sampled; see `gbid.control.sample_controller`.
+    plant : str
+        Name of the model that it was designed on.
+    points : sequence of (pressure_bar, speed_rpm)
+        Operating points whose matrices are written, for a controller whose gains follow them; at least one.
+    provenance : dict of str to str or float, optional
+        What else is worth keeping.
+    overwrite : bool
+        Whether an existing file may be replaced.
+
+    Returns
+    -------
+    ControllerDesign
+        What was written.
+
+    Raises
+    ------
+    UsageError
+        When the file exists and `overwrite` is not set, the ending is another, gains do not fit, or `points` are
+        missing for a scheduled controller or given for another.
+    DataError
+        When it cannot be written.
+    """
+    path = Path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise UsageError(f"{path}: a controller file ends in .yaml")
+    if not isinstance(structure, Scheduled):
+        structure = controller_structure(structure)
+    if isinstance(structure, Scheduled) != bool(points):
+        raise UsageError(
+            f"controller {structure.name!r}: "
+            + ("its gains are fixed, so points= has no use" if points else "give the operating points= to be written")
+        )
+    units = {parameter.name: parameter.unit for parameter in structure.parameters}
+    values = {key: float(value) for key, value in gains.items()}
+    design = ControllerDesign(
+        name or structure.name, structure, values, sample_time, method, units, plant, dict(provenance or {})
+    )
+    keys: list[Point | None] = [(float(p), float(s)) for p, s in points] or [None]
+    models = {key: design.at(*key) if key else design.at() for key in keys}
+    with atomic_path(path, overwrite) as part:
+        write_yaml(_contents(design, structure, models), part)
+    return ControllerDesign(
+        design.name, structure, values, sample_time, method, units, plant, design.provenance, models
+    )
+
+
+def load_controller(path: str | Path, structure: Structure | Scheduled | None = None) -> ControllerDesign:
+    """Read a controller file.
+
+    Parameters
+    ----------
+    path : str or path
+    structure : Structure or Scheduled, optional
+        For a controller of a structure of one's own; without it the matrices of the file are all there is.
+
+    Returns
+    -------
+    ControllerDesign
+
+    Raises
+    ------
+    UsageError
+        For a missing or broken file, with line and column, and when its matrices are not those of its gains.
+    """
+    file = read_yaml(Path(path))
+    table = parse(file)
+    try:
+        built = _structure(table, structure)
+        design = ControllerDesign(
+            table.name,
+            built,
+            {key: gain.value for key, gain in table.gains.items()},
+            table.sampling.sample_time_s,
+            table.sampling.method,
+            {key: gain.unit for key, gain in table.gains.items()},
+            table.plant,
+            table.provenance,
+            {_point(model): _model(table, model.continuous) for model in table.models},
+        )
+        for i, model in enumerate(table.models):
+            _check_matrices(file, design, i, model, _model(table, model.sampled, design.sample_time))
+    except UsageError as error:
+        raise UsageError(str(error) if str(error).startswith(str(file.path)) else f"{file.path}: {error}") from None
+    return design
+
+
+def _contents(
+    design: ControllerDesign, structure: Structure | Scheduled, models: Mapping[Point | None, LinearModel]
+) -> dict[str, Any]:
+    base = structure.base if isinstance(structure, Scheduled) else structure
+    built_in = next((kind for kind, cls in KINDS.items() if type(base) is cls), None)
+    table: dict[str, Any] = {"kind": built_in or "own", "name": base.name}
+    if built_in:
+        fields = asdict(base)  # type: ignore[call-overload]
+        table["options"] = {k: v for k, v in fields.items() if k not in ("name", "inputs", "outputs", "intersample")}
+    contents: dict[str, Any] = {
+        "kind": "controller",
+        "schema_version": SCHEMA_VERSION,
+        "name": design.name,
+        "creator": f"gbid {__version__}",
+        "loop": LOOP,
+        "inputs": list(INPUTS),
+        "outputs": list(OUTPUTS),
+        "plant": design.plant,
+        "structure": table,
+    }
+    if isinstance(structure, Scheduled):
+        contents["schedule"] = {"terms": list(structure.terms), **asdict(structure.domain)}
+    contents["gains"] = {key: {"value": value, "unit": design.units[key]} for key, value in design.gains.items()}
+    contents["sampling"] = {"sample_time_s": design.sample_time, "method": design.method}
+    contents["provenance"] = dict(design.provenance)
+    contents["models"] = [
+        {
+            **({} if key is None else {"pressure_bar": key[0], "speed_rpm": key[1]}),
+            "continuous": _rows(model),
+            "sampled": _rows(design.sampled_at(*key) if key else design.sampled_at()),
+        }
+        for key, model in models.items()
+    ]
+    return {key: value for key, value in contents.items() if value not in ("", {})}
+
+
+def _rows(model: LinearModel) -> dict[str, Any]:
+    return {letter: [[float(v) for v in row] for row in getattr(model, letter)] for letter in "ABCD"}
+
+
+def _model(table: ControllerFile, matrices: MatricesTable, dt: float | None = None) -> LinearModel:
+    n, n_p, n_r = len(matrices.A), len(table.inputs), len(table.outputs)
+    shapes = {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}
+    parts = {}
+    for letter, (height, width) in shapes.items():
+        rows = getattr(matrices, letter)
+        if len(rows) != height or any(len(row) != width for row in rows):
+            raise UsageError(f"matrix {letter} of the controller is not ({height}, {width})")
+        parts[letter] = np.array(rows, float).reshape(height, width)
+    A, B, C, D = parts.values()
+    return LinearModel(A, B, C, D, dt=dt, input_names=table.inputs, output_names=table.outputs, name=table.name)
+
+
+def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> Structure | Scheduled | None:
+    if table.structure.kind == "own":
+        if given is not None and given.name != table.structure.name and not isinstance(given, Scheduled):
+            raise UsageError(f"its structure is {table.structure.name!r}, not {given.name!r}")
+        return given
+    if given is not None:
+        raise UsageError(f"its structure is the built-in {table.structure.kind!r}; leave structure= out")
+    options = {k: tuple(v) if isinstance(v, list) else v for k, v in table.structure.options.items()}
+    base = controller_structure(table.structure.kind, **options)
+    if table.schedule is None:
+        return base
+    schedule = table.schedule
+    return scheduled(base, schedule.terms, Domain(schedule.pressure_bar, schedule.speed_rpm))
+
+
+def _point(model: ControllerModelTable) -> Point | None:
+    if model.pressure_bar is None or model.speed_rpm is None:
+        return None
+    return (model.pressure_bar, model.speed_rpm)
+
+
+def _check_matrices(
+    file: YamlFile, design: ControllerDesign, i: int, stored: ControllerModelTable, sampled: LinearModel
+) -> None:
+    """Refuse matrices that gains and sampling would not give: somebody changed one and not the other."""
+    point = _point(stored) or ()
+    for what, found, expected in (
+        ("continuous", design.models[_point(stored)], design.at(*point)),
+        ("sampled", sampled, design.sampled_at(*point)),
+    ):
+        for letter in "ABCD":
+            given, computed = getattr(found, letter), getattr(expected, letter)
+            scale = float(np.abs(computed).max()) if computed.size else 0.0
+            if given.shape != computed.shape or not np.allclose(given, computed, rtol=1e-9, atol=1e-9 * scale):
+                raise UsageError(
+                    f"{file.position(('models', i, what, letter))}: {what} {letter} is not what the gains and the "
+                    "sampling give; write the file anew with save_controller"
+                )

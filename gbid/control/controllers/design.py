@@ -1,0 +1,109 @@
+"""A controller as it leaves a design: structure, gains, sampling, and where it comes from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import isfinite
+
+from gbid.control.controllers.scheduled import Scheduled, controller_at
+from gbid.control.loop.sampling import Method, sample_controller
+from gbid.errors import UsageError
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerDesign:
+    """A designed controller; what `load_controller` returns.
+
+    Parameters
+    ----------
+    name : str
+    structure : Structure or Scheduled, optional
+        None for a structure of one's own that was read from a file without handing it over.
+    gains : dict of str to float
+        Gains, or the coefficients of scheduled ones.
+    sample_time : float
+        T_s of the sampled controller [s].
+    method : {"tustin", "zoh"}
+        How it is sampled.
+    units : dict of str to str
+        Unit of each gain.
+    plant : str
+        Name of the model that it was designed on.
+    provenance : dict of str to str or float
+        Anything worth keeping: cap, value reached, program, date.
+    models : dict of (pressure_bar, speed_rpm) or None to LinearModel
+        Continuous models that were stored: one under None, or one per operating point of a scheduled controller.
+
+    Raises
+    ------
+    UsageError
+        For a sample time that is not positive, or an unknown method.
+    """
+
+    name: str
+    structure: Structure | Scheduled | None
+    gains: Mapping[str, float]
+    sample_time: float = 2e-4
+    method: Method = "tustin"
+    units: Mapping[str, str] = field(default_factory=dict)
+    plant: str = ""
+    provenance: Mapping[str, str | float] = field(default_factory=dict)
+    models: Mapping[Point | None, LinearModel] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not (isfinite(self.sample_time) and self.sample_time > 0):
+            raise UsageError(
+                f"controller {self.name!r}: sample_time = {self.sample_time} s; give a positive number of seconds"
+            )
+        if self.method not in ("tustin", "zoh"):
+            raise UsageError(f"controller {self.name!r}: method = {self.method!r}; choose 'tustin' or 'zoh'")
+
+    def at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+        """Return the continuous controller.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float, optional
+            Operating point; a controller whose gains follow it needs one, others ignore it.
+
+        Returns
+        -------
+        LinearModel
+
+        Raises
+        ------
+        UsageError
+            When a scheduled controller gets no point, one outside its domain, or, without its structure, one that
+            is not stored.
+        """
+        point = None if pressure_bar is None or speed_rpm is None else (float(pressure_bar), float(speed_rpm))
+        if self.structure is None:
+            for key in (point, None):
+                if key in self.models:
+                    return self.models[key]
+            raise UsageError(
+                f"controller {self.name!r}: nothing stored for operating point {point}; hand its structure over: "
+                "load_controller(path, structure=...)"
+            )
+        if point is None:
+            if isinstance(self.structure, Scheduled):
+                raise UsageError(
+                    f"controller {self.name!r}: its gains follow the operating point; give pressure_bar and speed_rpm"
+                )
+            point = (0.0, 0.0)
+        return controller_at(self.structure, self.gains, *point)
+
+    def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
+        """Return the controller sampled by its own method at its own sample time; see `at`.
+
+        Parameters
+        ----------
+        pressure_bar, speed_rpm : float, optional
+            As in `at`.
+        """
+        return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)

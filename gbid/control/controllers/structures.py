@@ -1,0 +1,86 @@
+"""Controllers of fixed structure, built in or one's own, and what they are with numbers for their gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import isfinite
+from typing import Any, Literal
+
+from gbid.control.controllers.filters import INPUTS, OUTPUTS, BiquadStructure, PDStructure, PerAxis, PStructure
+from gbid.errors import UsageError
+from gbid.structure import LinearModel, evaluate
+from gbid.structure.linear import Structure
+
+ControllerKind = Literal["P", "PD", "biquad"]
+KINDS: dict[str, type[PerAxis]] = {"P": PStructure, "PD": PDStructure, "biquad": BiquadStructure}
+
+
+def controller_structure(kind: ControllerKind | str | Structure, **options: Any) -> Structure:
+    """Choose the structure of a controller from the disc position p to the piezo reference r.
+
+    Parameters
+    ----------
+    kind : {"P", "PD", "biquad"} or Structure
+        One of the built-in structures, each with one filter per axis, or one of your own: a
+        `gbid.LinearStructure` with its gains as parameters, two inputs and two outputs.
+    **options
+        Of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner`` and bounds (see
+        `gbid.control.PStructure`, `gbid.control.PDStructure`, `gbid.control.BiquadStructure`).
+
+    Returns
+    -------
+    Structure
+        With `parameters` (the gains, with start values and bounds) and symbolic `matrices`.
+
+    Raises
+    ------
+    UsageError
+        For an unknown kind or option, options beside a structure of your own, or one without bounds that fit.
+
+    Notes
+    -----
+    The loop is closed as ``r = K p`` (Eq. 21): positive gains are positive feedback.
+    """
+    if not isinstance(kind, str):
+        if not isinstance(kind, Structure):
+            raise UsageError(f"controller = {kind!r}; choose 'P', 'PD', 'biquad' or give a structure")
+        if options:
+            raise UsageError(f"controller {kind.name!r}: options {', '.join(options)} belong to built-in structures")
+        return kind
+    if kind not in KINDS:
+        raise UsageError(f"controller = {kind!r}; choose {', '.join(map(repr, KINDS))} or give a structure")
+    fixed = ("name", "inputs", "outputs", "intersample")
+    known = [name for name in KINDS[kind].__dataclass_fields__ if name not in fixed]
+    unknown = [name for name in options if name not in known]
+    if unknown:
+        raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; there are {', '.join(known)}")
+    return KINDS[kind](**options)
+
+
+def controller_model(structure: Structure, gains: Mapping[str, float]) -> LinearModel:
+    """Put gains into a controller's structure.
+
+    Parameters
+    ----------
+    structure : Structure
+    gains : dict of str to float
+        A value for every parameter.
+
+    Returns
+    -------
+    LinearModel
+        Continuous; inputs p_x, p_y, outputs r_x, r_y [m].
+
+    Raises
+    ------
+    UsageError
+        When a gain is missing, unknown or not finite, or the structure has not two inputs and two outputs.
+    """
+    names = [parameter.name for parameter in structure.parameters]
+    unknown = [name for name in gains if name not in names]
+    if unknown:
+        raise UsageError(f"controller {structure.name!r}: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+    for name in names:
+        if name in gains and not isfinite(gains[name]):
+            raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
+    return evaluate(structure, gains, INPUTS, OUTPUTS)

@@ -1,0 +1,137 @@
+"""What blows do to disc and piezos: largest motion, time until it is over, measured and simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.impact.ringdown.basis import quiet_basis
+from gbid.control.impact.validation import ImpactValidation
+from gbid.discretise import discretise, propagate
+from gbid.recording import Recording
+from gbid.structure import LinearModel
+
+FloatArray = npt.NDArray[np.float64]
+OVER = 0.95
+"""Share of a response's energy after which it counts as over."""
+_QUIET = 50  # samples between responses that the noise needs
+
+
+@dataclass(frozen=True)
+class BlowFigures:
+    """Figures of the blows of one recording: means over the blows and, measured, standard deviations.
+
+    Attributes
+    ----------
+    peak_m, peak_std_m, peak_simulated_m : float
+        Largest distance of the disc from where it was [m]. What is measured holds the noise of the sensor.
+    decay_s, decay_std_s, decay_simulated_s : float
+        From the blow until 95 % of the energy of the response, the noise's taken off, has passed [s].
+        An amplitude that falls as exp(-d t) has lost 78 % by then.
+    piezo_m, piezo_std_m, piezo_simulated_m : float
+        Largest motion of a stack out of its middle, ``|u| / 2`` [m]. What is measured holds what the controller makes
+        of the sensor's noise; it is nan without the signal `u`.
+    """
+
+    peak_m: float
+    peak_std_m: float
+    peak_simulated_m: float
+    decay_s: float
+    decay_std_s: float
+    decay_simulated_s: float
+    piezo_m: float
+    piezo_std_m: float
+    piezo_simulated_m: float
+
+
+FIELDS = tuple(field.name for field in fields(BlowFigures))
+
+
+def blow_figures(
+    recording: Recording,
+    validation: ImpactValidation,
+    actuators: LinearModel,
+    controller: LinearModel | None = None,
+) -> BlowFigures:
+    """Work out the figures of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        That was validated.
+    validation : ImpactValidation
+        Of it, against the loop as it runs.
+    actuators : LinearModel
+        Continuous, from r to u.
+    controller : LinearModel, optional
+        Sampled, from p to r, one sample for its computation; open loop when not given.
+
+    Returns
+    -------
+    BlowFigures
+    """
+    v, h = validation, recording.sample_time
+    moved = v.measured - v.stationary
+    noise = _noise(moved, v)
+    driven = _piezos(v.simulated, actuators, controller, h)
+    peaks = [(float(a.max()), float(b.max())) for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)]
+    decays = [
+        (_decay(a, noise) * h, _decay(b, 0.0) * h)
+        for a, b in zip(_sizes(v, moved), _sizes(v, v.simulated), strict=True)
+    ]
+    stacks = [(float("nan"), float(np.abs(driven[a:b]).max()) / 2) for a, b in v.windows]
+    if "u" in recording.signals:
+        u = recording.signal("u")
+        basis = quiet_basis(recording, v.harmonics)
+        left = u - driven
+        measured = u - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
+        stacks = [(float(np.abs(measured[a:b]).max()) / 2, s) for (a, b), (_, s) in zip(v.windows, stacks, strict=True)]
+    return BlowFigures(*_told(peaks), *_told(decays), *_told(stacks))
+
+
+def _told(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
+    """Mean and standard deviation of what is measured, mean of what is simulated."""
+    measured, simulated = np.array(pairs).T
+    spread = float(measured.std(ddof=1)) if len(measured) > 1 else float("nan")
+    return float(measured.mean()), spread, float(simulated.mean())
+
+
+def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[FloatArray]:
+    """Distance of the disc after each blow."""
+    for start, stop in validation.windows:
+        yield np.hypot(*position[start:stop].T)
+
+
+def _noise(moved: FloatArray, validation: ImpactValidation) -> float:
+    """Mean square of the distance where nothing is left of a response; nan where there is no such time."""
+    quiet = np.ones(len(moved), dtype=bool)
+    for start, stop in validation.windows:
+        quiet[start:stop] = False
+    return float((moved[quiet] ** 2).sum(axis=1).mean()) if quiet.sum() >= _QUIET else float("nan")
+
+
+def _decay(distance: FloatArray, noise: float) -> float:
+    """Count samples until the share `OVER` of the energy has passed."""
+    energy = np.concatenate([[0.0], np.cumsum(distance**2 - noise)])
+    if not energy[-1] > 0:
+        return float("nan")
+    after = int(np.argmax(energy >= OVER * energy[-1]))
+    before = energy[after - 1]
+    return after - 1 + float((OVER * energy[-1] - before) / (energy[after] - before))
+
+
+def _piezos(
+    position: FloatArray, actuators: LinearModel, controller: LinearModel | None, sample_time: float
+) -> FloatArray:
+    """Difference of the piezo positions that a controller makes of a position; zero without one."""
+    if controller is None:
+        return np.zeros_like(position)
+    A, B, C, D = (np.array(m) for m in (controller.A, controller.B, controller.C, controller.D))
+    output = propagate(A, position @ B.T, np.zeros(len(A))) @ C.T + position @ D.T
+    reference = np.vstack([np.zeros((1, 2)), output[:-1]])  # computing takes a sample
+    held = discretise(np.array(actuators.A), np.array(actuators.B), sample_time, "zoh")
+    states = propagate(np.asarray(held.F), reference @ np.asarray(held.G_now).T, np.zeros(len(held.F)))
+    return np.asarray(states @ np.array(actuators.C).T)

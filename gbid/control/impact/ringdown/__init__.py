@@ -1,0 +1,1 @@
+"""Modes identified from the ring-down after hammer impacts."""

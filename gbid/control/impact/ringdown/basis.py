@@ -1,0 +1,159 @@
+"""What a ring-down of two degrees of freedom can look like: free responses, and what else is in the signal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+from gbid.control.impact.measured import Blow, Pulse, pulse_forcing
+from gbid.discretise import propagate
+from gbid.errors import DataError
+from gbid.prefilter.shaft import shaft_motion
+from gbid.recording import Recording
+
+FloatArray = npt.NDArray[np.float64]
+N_MECHANICAL = 8
+"""Parameters of K and D."""
+_SHORTEST = 20  # samples of a ring-down
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Sizes that make the parameters of order one.
+
+    Attributes
+    ----------
+    rate : float
+        An angular frequency near those sought [rad/s].
+    sample_time : float
+        [s].
+    """
+
+    rate: float
+    sample_time: float
+
+    def matrix(self, theta: FloatArray) -> FloatArray:
+        """System matrix [0 I; K D] with time in units of 1/rate, from K, D (negated, by rows)."""
+        A = np.zeros((4, 4))
+        A[:2, 2:] = np.eye(2)
+        A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
+        return A
+
+    def free(self, theta: FloatArray, n: int) -> FloatArray:
+        """Free responses, shape (n, 2, 4): one for each initial state."""
+        return _powers(expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
+
+    def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
+        """Differentiate `free` by K and D, shape (8, n, 2, 4)."""
+        slopes = np.zeros((N_MECHANICAL, n, 2, 4))
+        A, step = self.matrix(theta), self.rate * self.sample_time
+        for i in range(N_MECHANICAL):
+            both = np.zeros((8, 8))  # exp of [A dA; 0 A] has the derivative of exp(A) in its corner
+            both[:4, :4] = both[4:, 4:] = A
+            both[2 + (i % 4) // 2, 4 + i % 2 + 2 * (i // 4)] = -1.0
+            slopes[i] = _powers(expm(both * step), n)[:, :2, 4:]
+        return slopes
+
+
+def _powers(F: FloatArray, n: int) -> FloatArray:
+    """F^0, F^1, ... F^(n-1), by doubling."""
+    powers = np.eye(len(F))[None]
+    while len(powers) < n:
+        powers = np.concatenate([powers, powers @ (powers[-1] @ F)])
+    return powers[:n]
+
+
+@dataclass(frozen=True, eq=False)
+class RingData:
+    """One recording, ready to be fitted.
+
+    Attributes
+    ----------
+    name : str
+    position : (n_samples, 2) array
+        As measured; zero where not used.
+    used : (n_samples,) bool array
+        Samples that are fitted: all but those under a blow.
+    pulses : tuple of Pulse
+        Forces of the blows.
+    segments : tuple of (start, stop)
+        Free responses after the blows.
+    quiet : (n_samples, n_quiet) array
+        Orthonormal: offset and harmonics of the shaft angle on the samples used.
+    """
+
+    name: str
+    position: FloatArray
+    used: npt.NDArray[np.bool_]
+    pulses: tuple[Pulse, ...]
+    segments: tuple[tuple[int, int], ...]
+    quiet: FloatArray
+
+
+def ring_data(
+    recording: Recording, position: str, blows: Sequence[Blow], pulses: tuple[Pulse, ...], harmonics: int, skip: int
+) -> RingData:
+    """Cut a recording into free responses; the samples under a blow and `skip` more are left out.
+
+    Raises
+    ------
+    DataError
+        When the position has not two channels, or too little is left after a blow.
+    """
+    p = recording.signal(position)
+    if p.shape[1] != 2:
+        raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; a ring-down needs two")
+    used = np.ones(len(p), dtype=bool)
+    segments = []
+    ends = [*(blow.start + 1 for blow in blows[1:]), len(p)]
+    for blow, end in zip(blows, ends, strict=True):
+        first = blow.stop + skip
+        used[blow.start + 1 : first] = False
+        if end - first < _SHORTEST:
+            raise DataError(
+                f"recording {recording.name!r}: {max(end - first, 0)} samples after the blow at "
+                f"{blow.start * recording.sample_time:.4f} s; a ring-down needs {_SHORTEST}: leave that blow out"
+            )
+        segments.append((first, end))
+    q, r = np.linalg.qr(quiet_basis(recording, harmonics) * used[:, None])
+    size = np.abs(np.diag(r))
+    if size.min() < 1e-8 * size.max():
+        raise DataError(
+            f"recording {recording.name!r}: too short to tell {harmonics} harmonics of the shaft apart; use fewer"
+        )
+    return RingData(recording.name, p * used[:, None], used, pulses, tuple(segments), q)
+
+
+def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
+    """Offset, and sines and cosines of the shaft angle, shape (n_samples, 1 + 2 harmonics)."""
+    columns = [np.ones(recording.n_samples)]
+    if harmonics:
+        angle = recording.signal("phi")[:, 0]
+        for order in range(1, harmonics + 1):
+            columns += [np.cos(order * angle), np.sin(order * angle)]
+    return np.column_stack(columns)
+
+
+def harmonics_for(recording: Recording, harmonics: int | None) -> int:
+    """How many harmonics to estimate: 10 when the shaft turns and nothing else is asked for, none at rest."""
+    if "phi" not in recording.signals:
+        if harmonics:
+            shaft_motion(recording)  # says what is missing
+        return 0
+    turning = shaft_motion(recording).turns > 0
+    return (10 if harmonics is None else harmonics) if turning else 0
+
+
+def lagging_force(data: RingData, rates: Sequence[float], directions: Sequence[int], sample_time: float) -> FloatArray:
+    """Force through lags of gain one, shape (n_samples, n_rates n_directions); zero where not used."""
+    columns = [np.zeros((len(data.position), 0))]
+    for rate in rates:
+        A, E = -rate * np.eye(2), rate * np.eye(2)
+        forcing = pulse_forcing(A, E, data.pulses, len(data.position), sample_time)
+        states = propagate(expm(A * sample_time), forcing, np.zeros(2))
+        columns.append(states[:, list(directions)] * data.used[:, None])
+    return np.hstack(columns)

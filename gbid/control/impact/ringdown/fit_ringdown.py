@@ -1,0 +1,207 @@
+r"""Modes of a rotor from how it rings down after blows: the rows "obtained experimentally" of Tables 3 and 4.
+
+After a blow the disc moves by itself. Two degrees of freedom, and decays without oscillation beside them:
+
+.. math::
+
+    p(t) = q(t) + \sum_l R_l \int_{-\infty}^t \rho_l e^{-\rho_l (t - s)} f(s)\, ds
+           + p_0 + \sum_n c_n \cos n\phi + s_n \sin n\phi, \quad \ddot q = K q + D \dot q
+
+All blows share K, D and the lags; each has a state of its own to start from, each recording an offset and, when the
+shaft turns, harmonics of the shaft angle: unbalance and run-out are estimated along, not filtered (Figs. 26, 27).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.impact.measured import Blow, find_blows, force_of, pulses_of
+from gbid.control.impact.ringdown.basis import RingData, Scale, harmonics_for, ring_data
+from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
+from gbid.control.impact.ringdown.lags import fit_lags
+from gbid.control.impact.ringdown.ringdown_result import NO_OSCILLATIONS, RingDown, two_modes
+from gbid.control.impact.ringdown.separable import RingProblem, Solved
+from gbid.control.impact.ringdown.start import start_candidates
+from gbid.errors import DataError, UsageError
+from gbid.recording import Recording
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def fit_ringdown(
+    recordings: Recording | Sequence[Recording],
+    *,
+    position: str = "p",
+    force: str = "f",
+    axis: str | None = None,
+    lags: int | str = "auto",
+    harmonics: int | None = None,
+    skip_s: float = 0.0,
+    start: Sequence[tuple[float, float]] | None = None,
+) -> RingDown:
+    """Fit two modes to the free responses after all blows in some recordings (paper, Sec. 5.1, Tables 3 and 4).
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        Of one machine at one operating point; blows along x and along y together tell the modes best.
+    position, force : str
+        Signals: disc position of two channels [m], force of the hammer [N].
+    axis : {"x", "y"}, optional
+        Direction of a force of one channel.
+    lags : int or "auto"
+        How many decays without oscillation to fit beside the modes. In open loop there are none; a loop has those of
+        actuators, low-pass and delays, which a plain fit of two modes would count as damping. ``"auto"`` takes none or
+        3, by Schwarz's criterion (BIC).
+    harmonics : int, optional
+        Harmonics of the shaft angle `phi` estimated along; 10 when the shaft turns and nothing is given.
+    skip_s : float
+        Time after the end of a blow that is left out [s].
+    start : sequence of (frequency_hz, damping), optional
+        Two modes to start from, beside what is found in the data.
+
+    Returns
+    -------
+    RingDown
+        A fit that does not converge, or finds no two oscillations, says so in `success` and `status`.
+
+    Raises
+    ------
+    DataError
+        When a recording has no blow, too little after one, or a signal is missing.
+    UsageError
+        For arguments out of range.
+    """
+    group = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    _check_arguments(group, lags, harmonics, skip_s, start)
+    h = group[0].sample_time
+    found = [find_blows(force_of(rec, force, axis), h, rec.name) for rec in group]
+    counts = [harmonics_for(rec, harmonics) for rec in group]
+    data = tuple(
+        ring_data(rec, position, blows, pulses_of(force_of(rec, force, axis), blows), count, round(skip_s / h))
+        for rec, blows, count in zip(group, found, counts, strict=True)
+    )
+    unit = float(np.sqrt(np.mean([np.mean(_after(d) ** 2) for d in data])))
+    if unit == 0:
+        raise DataError(f"recording {group[0].name!r}: {position!r} does not move after the blows; check the signal")
+    data = tuple(replace(d, position=d.position / unit) for d in data)
+
+    directions = tuple(i for i, word in enumerate("xy") if any(b.axis == word for blows in found for b in blows))
+
+    def problems(rate: float) -> RingProblem:
+        return RingProblem(data, Scale(rate, h), directions)
+
+    problem, solved = fit_lags(problems, _guesses(data, h, start), lags)
+    rms = _channel_rms(problem, solved)
+    if (rms > 0).all():  # channels are not equally noisy: once more, each by its own noise
+        problem = replace(problem, weights=float(np.sqrt(np.mean(rms**2))) / rms)
+        solved = problem.solve(solved.theta)
+        rms = _channel_rms(problem, solved)
+    return _result(problem, solved, group, rms * unit, found, max(counts))
+
+
+def _check_arguments(
+    group: list[Recording],
+    lags: int | str,
+    harmonics: int | None,
+    skip_s: float,
+    start: Sequence[tuple[float, float]] | None,
+) -> None:
+    if not group:
+        raise UsageError("fit_ringdown: no recording given; give at least one with a blow")
+    if lags != "auto" and not (isinstance(lags, int) and 0 <= lags <= 6):
+        raise UsageError(f"fit_ringdown: lags = {lags!r}; give a number from 0 to 6, or 'auto'")
+    if harmonics is not None and harmonics < 0:
+        raise UsageError(f"fit_ringdown: harmonics = {harmonics}; it must not be negative")
+    if not (np.isfinite(skip_s) and skip_s >= 0):
+        raise UsageError(f"fit_ringdown: skip_s = {skip_s} s; it must not be negative")
+    if start is not None and (len(start) != 2 or any(f <= 0 or not abs(z) < 1 for f, z in start)):
+        raise UsageError(f"fit_ringdown: start = {start}; give two modes (frequency in Hz, damping factor below 1)")
+    for rec in group[1:]:
+        if rec.sample_time != group[0].sample_time:
+            raise UsageError(
+                f"recordings {group[0].name!r} and {rec.name!r} are sampled at {group[0].sample_time} s and "
+                f"{rec.sample_time} s; fit them apart"
+            )
+
+
+def _after(data: RingData) -> FloatArray:
+    """Positions after the blows, less what offset and harmonics explain."""
+    quiet = data.position - data.quiet @ (data.quiet.T @ data.position)
+    return np.vstack([quiet[a:b] for a, b in data.segments])
+
+
+def _guesses(
+    data: tuple[RingData, ...], h: float, start: Sequence[tuple[float, float]] | None
+) -> list[tuple[float, FloatArray]]:
+    if start is None:
+        return start_candidates(data, h, None)
+    rate = 2 * np.pi * float(np.mean([f for f, _ in start]))
+    K = [(2 * np.pi * f / rate) ** 2 for f, _ in start]
+    D = [2 * z * 2 * np.pi * f / rate for f, z in start]
+    own = np.array([K[0], 0, 0, K[1], D[0], 0, 0, D[1]])
+    return [(rate, own), *start_candidates(data, h, rate)]
+
+
+def _channel_rms(problem: RingProblem, solved: Solved) -> FloatArray:
+    """Residuals of x and y, over all samples used."""
+    squares = sum((r**2).sum(axis=0) for r in solved.at.residuals)
+    return np.asarray(np.sqrt(squares * 2 / problem.n_values) / problem.weights)
+
+
+def _covariance(problem: RingProblem, solved: Solved) -> FloatArray:
+    """Covariance of the parameters, for correlated residuals."""
+    slopes, residuals = solved.at.slopes, solved.at.residuals
+    stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in slopes])
+    bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)
+    memory = autocovariance(residuals, [d.used for d in problem.data], round(MEMORY_S / problem.scale.sample_time))
+    return np.asarray(bread @ sandwich(slopes, memory) @ bread)
+
+
+def _result(
+    problem: RingProblem,
+    solved: Solved,
+    group: list[Recording],
+    rms: FloatArray,
+    found: Sequence[Sequence[Blow]],
+    harmonics: int,
+) -> RingDown:
+    theta, scale, covariance = solved.theta, problem.scale, _covariance(problem, solved)
+    K, D = -theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate
+    modes = two_modes(theta, scale)
+    spread = np.full((4, 4), np.nan)
+    success, status = solved.converged, "converged" if solved.converged else f"not converged: {solved.status}"
+    if np.isnan(modes).any():
+        success, status = False, NO_OSCILLATIONS
+    else:
+        steps = 1e-6 * np.eye(len(theta))
+        slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
+        spread = slope @ covariance @ slope.T
+    std = np.sqrt(np.diag(spread))
+    notes: tuple[str, ...] = ()
+    doubles = sum(blow.pulses > 1 for blows in found for blow in blows)
+    if doubles:
+        notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")
+    if success and std[0] + std[2] > modes[2] - modes[0]:
+        notes = (*notes, "the frequencies differ by less than their uncertainty: which mode is which is not certain")
+    return RingDown(
+        modes[::2],
+        modes[1::2],
+        std[::2],
+        std[1::2],
+        spread,
+        K,
+        D,
+        np.array(problem.rates),
+        rms,
+        sum(len(blows) for blows in found),
+        tuple(rec.name for rec in group),
+        harmonics,
+        success,
+        status,
+        notes,
+    )

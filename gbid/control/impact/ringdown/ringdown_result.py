@@ -1,0 +1,96 @@
+"""What a ring-down fit gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import norm
+
+from gbid.control.impact.ringdown.basis import Scale
+from gbid.control.impact.ringdown.start import eigenvalues_of
+from gbid.errors import UsageError
+
+FloatArray = npt.NDArray[np.float64]
+NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
+"""Status of a fit to a response that is damped so much that it does not oscillate."""
+
+
+@dataclass(frozen=True, eq=False)
+class RingDown:
+    """Two modes from ring-downs; what `fit_ringdown` returns.
+
+    Attributes
+    ----------
+    frequency_hz, damping : (2,) array
+        Natural frequencies [Hz] and damping factors, by rising frequency; nan where K and D do not oscillate.
+    frequency_std, damping_std : (2,) array
+        Standard deviations, for residuals that are correlated in time and between x and y.
+    covariance : (4, 4) array
+        Of frequency 1, damping 1, frequency 2, damping 2.
+    stiffness, damping_matrix : (2, 2) array
+        K [1/s^2] and D [1/s].
+    lag_rates : (n_lags,) array
+        Rates of the decays that were fitted beside the modes [1/s].
+    residual_rms : (2,) array
+        What is left of x and y [m].
+    n_blows : int
+    recordings : tuple of str
+    harmonics : int
+        Harmonics of the shaft angle that were estimated along.
+    success : bool
+    status : str
+    notes : tuple of str
+        What to know of it.
+    """
+
+    frequency_hz: FloatArray
+    damping: FloatArray
+    frequency_std: FloatArray
+    damping_std: FloatArray
+    covariance: FloatArray
+    stiffness: FloatArray
+    damping_matrix: FloatArray
+    lag_rates: FloatArray
+    residual_rms: FloatArray
+    n_blows: int
+    recordings: tuple[str, ...]
+    harmonics: int
+    success: bool
+    status: str
+    notes: tuple[str, ...] = ()
+
+    def modes(self) -> list[tuple[float, float]]:
+        """Natural frequency [Hz] and damping factor of each mode, as `LinearModel.modes` gives them."""
+        return [(float(f), float(z)) for f, z in zip(self.frequency_hz, self.damping, strict=True)]
+
+    @property
+    def aperiodic(self) -> bool:
+        """Whether the response is damped so much that there are no two oscillations in it; then nothing converges."""
+        return self.status == NO_OSCILLATIONS
+
+    def interval(self, level: float = 0.95) -> FloatArray:
+        """Confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.
+
+        Parameters
+        ----------
+        level : float
+            Between 0 and 1.
+        """
+        if not 0 < level < 1:
+            raise UsageError(f"level = {level}; give a number between 0 and 1")
+        centre = np.column_stack([self.frequency_hz, self.damping]).ravel()
+        half = norm.ppf(0.5 + level / 2) * np.sqrt(np.diag(self.covariance))
+        return np.column_stack([centre - half, centre + half])
+
+
+def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
+    """Frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
+    mechanical = np.hstack([-theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate])
+    poles = eigenvalues_of(mechanical)
+    pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
+    if len(pairs) < 2:
+        return np.full(4, np.nan)
+    pairs = pairs[np.argsort(np.abs(pairs))]
+    return np.column_stack([np.abs(pairs) / (2 * np.pi), -pairs.real / np.abs(pairs)]).ravel()

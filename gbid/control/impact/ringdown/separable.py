@@ -1,0 +1,199 @@
+"""Least squares of a ring-down: what enters linearly is projected out (variable projection), the rest is iterated."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from math import ceil, log
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares
+
+from gbid.control.impact.ringdown.basis import N_MECHANICAL, RingData, Scale, lagging_force
+
+FloatArray = npt.NDArray[np.float64]
+_DIED_OUT = 6 * log(10)
+_SHORTEST = 50
+
+
+@dataclass(frozen=True, eq=False)
+class Projected:
+    """Residuals and their slopes at one set of parameters.
+
+    Attributes
+    ----------
+    residuals : list of (n_samples, 2) array
+        One for each recording, weighted.
+    slopes : list of (n_samples, 2, n_parameters) array
+        After Kaufman (1975), which leaves out what is of the size of the residuals.
+    """
+
+    residuals: list[FloatArray] = field(default_factory=list)
+    slopes: list[FloatArray] = field(default_factory=list)
+
+    @property
+    def squares(self) -> float:
+        """Sum of squared residuals."""
+        return float(sum((r**2).sum() for r in self.residuals))
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """A fit of the parameters.
+
+    Attributes
+    ----------
+    theta : (n_parameters,) array
+    at : Projected
+    converged : bool
+    status : str
+    """
+
+    theta: FloatArray
+    at: Projected
+    converged: bool
+    status: str
+
+
+@dataclass(frozen=True, eq=False)
+class RingProblem:
+    """Free responses of several recordings that share K, D and lags; each blow has an initial state of its own.
+
+    Parameters are K and D by rows, negated and scaled, then for each lag and each direction that is hit the gains to x
+    and to y.
+
+    Attributes
+    ----------
+    data : tuple of RingData
+    scale : Scale
+    directions : tuple of int
+        Directions of force that are hit: 0 for x, 1 for y.
+    weights : (2,) array
+        By which the residuals of x and y are multiplied.
+    rates : tuple of float
+        Rates of the lags [1/s].
+    """
+
+    data: tuple[RingData, ...]
+    scale: Scale
+    directions: tuple[int, ...]
+    weights: FloatArray = field(default_factory=lambda: np.ones(2))
+    rates: tuple[float, ...] = ()
+
+    @property
+    def n_values(self) -> int:
+        """Number of values that are fitted."""
+        return 2 * sum(int(d.used.sum()) for d in self.data)
+
+    @property
+    def n_linear(self) -> int:
+        """Number of initial states, offsets and harmonics."""
+        return sum(2 * d.quiet.shape[1] + 4 * len(d.segments) for d in self.data)
+
+    @cached_property
+    def lagging(self) -> tuple[FloatArray, ...]:
+        """Force of each recording through the lags."""
+        return tuple(lagging_force(d, self.rates, self.directions, self.scale.sample_time) for d in self.data)
+
+    def with_lags(self, theta: FloatArray, rates: Sequence[float]) -> tuple[RingProblem, FloatArray]:
+        """Return the problem with lags of given rates, their gains by linear least squares."""
+        problem = replace(self, rates=tuple(rates))
+        longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * len(rates) * len(self.directions))])
+        at = problem.at(longer)
+        slopes = np.concatenate([s.reshape(-1, len(longer))[:, N_MECHANICAL:] for s in at.slopes])
+        residuals = np.concatenate([r.ravel() for r in at.residuals])
+        longer[N_MECHANICAL:] = -np.linalg.lstsq(slopes, residuals, rcond=None)[0]
+        return problem, longer
+
+    def at(self, theta: FloatArray, *, slopes: bool = True) -> Projected:
+        """Evaluate the residuals and, if wanted, their slopes."""
+        alive = self._alive(theta)
+        longest = max(min(stop - start, alive) for d in self.data for start, stop in d.segments)
+        free = self.scale.free(theta, longest) * self.weights[:, None]
+        change = self.scale.free_slopes(theta, longest) * self.weights[:, None] if slopes else None
+        found = Projected()
+        factors: dict[int, tuple[FloatArray, FloatArray]] = {}
+        for d, lagging in zip(self.data, self.lagging, strict=True):
+            segments = tuple((start, min(stop, start + alive)) for start, stop in d.segments)
+            for start, stop in segments:
+                if stop - start not in factors:
+                    factors[stop - start] = np.linalg.qr(free[: stop - start].reshape(2 * (stop - start), -1))
+            bases = [factors[stop - start] for start, stop in segments]
+            projector = _Projector(replace(d, segments=segments), [q for q, _ in bases])
+            gains = theta[N_MECHANICAL:].reshape(-1, 2)
+            residual, left = projector.apply(((d.position - lagging @ gains) * self.weights)[:, :, None])
+            found.residuals.append(residual[:, :, 0])
+            if change is None:
+                continue
+            moved = np.zeros((len(residual), 2, len(theta)))
+            for (start, stop), (q, r) in zip(segments, bases, strict=True):
+                states = solve_triangular(r, q.T @ left[start:stop].reshape(-1))
+                moved[start:stop, :, :N_MECHANICAL] = np.moveaxis(change[:, : stop - start] @ states, 0, -1)
+            for channel in range(2):
+                moved[:, channel, N_MECHANICAL + channel :: 2] = lagging * self.weights[channel]
+            found.slopes.append(-projector.apply(moved)[0])
+        return found
+
+    def solve(self, theta: FloatArray, max_evaluations: int = 100) -> Solved:
+        """Minimise the squares from given parameters by Levenberg-Marquardt."""
+        last: dict[bytes, Projected] = {}
+
+        def evaluated(x: FloatArray) -> Projected:
+            key = x.tobytes()
+            if key not in last:
+                last.clear()
+                last[key] = self.at(x)
+            return last[key]
+
+        def residuals(x: FloatArray) -> FloatArray:
+            return np.concatenate([r.ravel() for r in evaluated(x).residuals])
+
+        def slopes(x: FloatArray) -> FloatArray:
+            return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x).slopes])
+
+        settings: dict[str, Any] = {"method": "lm", "x_scale": "jac", "max_nfev": max_evaluations}
+        done: Any = least_squares(residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings)
+        return Solved(done.x, evaluated(done.x), done.status > 0, str(done.message))
+
+    def _alive(self, theta: FloatArray) -> int:
+        """Count samples until the slowest free response is below 1e-6 of its start; the rest of a record is quiet."""
+        slowest = self.scale.rate * float(-np.linalg.eigvals(self.scale.matrix(theta)).real.max())
+        return max(_SHORTEST, ceil(_DIED_OUT / (slowest * self.scale.sample_time))) if slowest > 1e-3 else sys.maxsize
+
+
+class _Projector:
+    """Takes out of signals what offset, harmonics and the free responses of a recording can explain."""
+
+    def __init__(self, data: RingData, bases: Sequence[FloatArray]) -> None:
+        self._data, self._bases = data, bases
+        # offset and harmonics are orthonormal, and there once for x and once for y
+        self._mixed = [
+            self._quiet_part(q.reshape(stop - start, 2, -1), data.quiet[start:stop]).T
+            for q, (start, stop) in zip(bases, data.segments, strict=True)
+        ]
+        n = 2 * data.quiet.shape[1]
+        self._gram = np.eye(n) - sum((w.T @ w for w in self._mixed), np.zeros((n, n)))
+
+    def apply(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Project (n_samples, 2, m) signals; return them, and without offset and harmonics only."""
+        d, m = self._data, signals.shape[2]
+        right = self._quiet_part(signals, d.quiet)
+        for q, w, (start, stop) in zip(self._bases, self._mixed, d.segments, strict=True):
+            right -= w.T @ (q.T @ signals[start:stop].reshape(-1, m))
+        quiet = np.linalg.solve(self._gram, right).reshape(-1, 2 * m)
+        left = signals - (d.quiet @ quiet).reshape(signals.shape)
+        rest = left.copy()
+        for q, (start, stop) in zip(self._bases, d.segments, strict=True):
+            flat = left[start:stop].reshape(-1, m)
+            rest[start:stop] = (flat - q @ (q.T @ flat)).reshape(stop - start, 2, m)
+        return rest, left
+
+    @staticmethod
+    def _quiet_part(signals: FloatArray, quiet: FloatArray) -> FloatArray:
+        """Products of (n, 2, m) signals with offset and harmonics, shape (2 n_quiet, m)."""
+        return np.asarray((quiet.T @ signals.reshape(len(signals), -1)).reshape(-1, signals.shape[2]))

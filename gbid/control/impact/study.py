@@ -1,0 +1,99 @@
+"""Impacts at one operating point, in one loop: what the model expects and what the blows show (Tables 3 and 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from gbid.control.impact.figures_of_merit import BlowFigures, blow_figures
+from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
+from gbid.control.impact.ringdown.ringdown_result import RingDown
+from gbid.control.impact.ringing_modes import Modes, ringing_modes
+from gbid.control.impact.validation import ImpactValidation, validate_impact
+from gbid.control.loop.sampled import exact_plant
+from gbid.lpv import LPVModel
+from gbid.recording import Recording
+from gbid.structure import LinearModel, PiezoPair, evaluate
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactStudy:
+    """Expected and obtained modes, and measured against simulated responses.
+
+    Attributes
+    ----------
+    conditions : dict of str to float
+        Operating point.
+    loop : str
+        ``"open"``, ``"closed"``, or the name of a further closed loop.
+    model, controller : str
+        Names; the controller's is empty in open loop.
+    expected : tuple of (frequency_hz, damping)
+        Of the model as it is, continuous with first-order Pade delays, as in the paper.
+    expected_running : tuple of (frequency_hz, damping)
+        As the loop runs: sampled controller, one sample for its computation, exact delays. As `expected` in open loop.
+    ringdown : RingDown
+        Obtained from the blows.
+    validations : tuple of ImpactValidation
+        One for each recording, against the loop as it runs.
+    figures : tuple of BlowFigures
+        One for each recording: largest motion of disc and stacks, time until the response is over.
+    """
+
+    conditions: Mapping[str, float]
+    loop: str
+    model: str
+    controller: str
+    expected: Modes
+    expected_running: Modes
+    ringdown: RingDown
+    validations: tuple[ImpactValidation, ...]
+    figures: tuple[BlowFigures, ...] = ()
+
+
+def study_impacts(
+    recordings: Sequence[Recording],
+    model: LPVModel,
+    controller: LinearModel | None = None,
+    sampled: LinearModel | None = None,
+    *,
+    harmonics: int | None = None,
+    lags: int | str = "auto",
+    loop: str | None = None,
+) -> ImpactStudy:
+    """Fit the ring-downs of some recordings and compare them with a model.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        At one operating point, which their conditions state, in one loop.
+    model : LPVModel
+        With actuators.
+    controller, sampled : LinearModel, optional
+        The controller that ran, continuous and sampled; open loop without.
+    harmonics, lags
+        See `fit_ringdown`.
+    loop : str, optional
+        Name of the loop; ``"open"`` or ``"closed"`` when not given.
+
+    Returns
+    -------
+    ImpactStudy
+    """
+    point = {key: float(recordings[0].conditions[key]) for key in ("pressure_bar", "speed_rpm")}
+    where = (point["pressure_bar"], point["speed_rpm"])
+    plant, exact = model.plant_at(*where), exact_plant(model, *where)
+    expected = ringing_modes(plant, controller)
+    actuators = evaluate(PiezoPair(), model.actuators, plant.input_names, ("u_x", "u_y"))
+    validations = tuple(validate_impact(rec, exact, sampled, harmonics=harmonics) for rec in recordings)
+    return ImpactStudy(
+        point,
+        loop or ("open" if controller is None else "closed"),
+        model.name,
+        "" if controller is None else controller.name,
+        expected,
+        expected if sampled is None else ringing_modes(exact, sampled),
+        fit_ringdown(recordings, harmonics=harmonics, lags=lags),
+        validations,
+        tuple(blow_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
+    )

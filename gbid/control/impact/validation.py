@@ -1,0 +1,213 @@
+"""Measured impact responses against simulated ones, and the scaling of the force (paper, Sec. 5.1, Figs. 24 to 27)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.impact.force_response import force_response
+from gbid.control.impact.measured import Blow, find_blows, force_of, pulses_of
+from gbid.control.impact.ringdown.basis import harmonics_for, quiet_basis
+from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
+from gbid.errors import DataError
+from gbid.recording import Recording
+from gbid.structure import LinearModel
+from gbid.validate import fit_percent
+
+FloatArray = npt.NDArray[np.float64]
+_DIED_OUT = 0.01  # the response counts until the simulation is below this share of its largest value
+_BEFORE = 25  # samples before a blow that are shown with it
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactValidation:
+    """Measured against simulated response; what `validate_impact` returns.
+
+    Attributes
+    ----------
+    force_scale : float
+        g_f [1/kg], the inverse of the moving mass.
+    force_scale_std : float
+        Its standard deviation, from residuals that are correlated in time and from the noise of the force.
+    fit_percent : (2,) array
+        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the blows, offset and harmonics
+        taken out.
+    along_percent : float
+        The same in the direction of the blows alone.
+    time : (n_samples,) array
+        [s].
+    measured : (n_samples, 2) array
+        Position as measured, less its offset [m]; unbalance and run-out are in it.
+    stationary : (n_samples, 2) array
+        What of it turns with the shaft [m]; zero at rest.
+    simulated : (n_samples, 2) array
+        ``g_f`` times the simulated non-scaled response [m].
+    force : (n_samples, 2) array
+        Measured force [N].
+    windows : tuple of (start, stop)
+        Samples of each blow and the response to it.
+    blows : tuple of Blow
+    harmonics : int
+        Harmonics of the shaft angle that were estimated along.
+    recording, loop : str
+        Names of the recording and of the loop.
+    """
+
+    force_scale: float
+    force_scale_std: float
+    fit_percent: FloatArray
+    along_percent: float
+    time: FloatArray
+    measured: FloatArray
+    stationary: FloatArray
+    simulated: FloatArray
+    force: FloatArray
+    windows: tuple[tuple[int, int], ...]
+    blows: tuple[Blow, ...]
+    harmonics: int
+    recording: str
+    loop: str
+
+    @property
+    def axis(self) -> str:
+        """``"x"``, ``"y"``, or ``"xy"`` when blows came from both."""
+        return "".join(sorted({blow.axis for blow in self.blows}))
+
+    def window(self, blow: int = 0) -> slice:
+        """Give the samples to show of one blow: a little before it until the response has died out.
+
+        Parameters
+        ----------
+        blow : int
+            Its number, counted from 0.
+        """
+        start, stop = self.windows[blow]
+        return slice(max(0, start - _BEFORE), stop)
+
+
+def validate_impact(
+    recording: Recording,
+    plant: LinearModel,
+    controller: LinearModel | None = None,
+    *,
+    position: str = "p",
+    force: str = "f",
+    axis: str | None = None,
+    harmonics: int | None = None,
+    computation_s: float | None = None,
+    entry: FloatArray | None = None,
+) -> ImpactValidation:
+    r"""Scale the force, and compare measured with simulated impact responses (paper, Sec. 5.1).
+
+    g_f comes from linear least squares between measured and simulated non-scaled response, :math:`p = g_f\, G_b f`
+    (Eq. 8) or :math:`p = g_f\, S_o G_b f`; an offset and, when the shaft turns, harmonics of its angle are estimated
+    along.
+
+    Parameters
+    ----------
+    recording : Recording
+        With position, force of the hammer and, when the shaft turns, its angle `phi`.
+    plant : LinearModel
+        Continuous, from r (or u) to p: `LPVModel.plant_at`, or `gbid.control.exact_plant` for a sampled controller.
+    controller : LinearModel, optional
+        That ran during the recording; open loop when not given. A continuous one gives the loop of the paper, a sampled
+        one (`gbid.control.sample_controller`) the loop as it runs.
+    position, force : str
+        Signals.
+    axis : {"x", "y"}, optional
+        Direction of a force of one channel.
+    harmonics : int, optional
+        10 when the shaft turns and nothing is given.
+    computation_s : float, optional
+        Time from the sample of p to the change of r, sampled controllers only [s]; one sample when not given.
+    entry : (n, 2) array, optional
+        Where a force per mass enters the plant; found by `gbid.control.force_entry` when not given.
+
+    Returns
+    -------
+    ImpactValidation
+
+    Raises
+    ------
+    DataError
+        When the recording has no blow, or a signal is missing or of another shape.
+    UsageError
+        When models do not fit together, or the loop is unstable.
+    """
+    h, n = recording.sample_time, recording.n_samples
+    f = force_of(recording, force, axis)
+    p = recording.signal(position)
+    if p.shape[1] != 2:
+        raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; an impact needs two")
+    blows = find_blows(f, h, recording.name)
+    response = force_response(plant, controller, pulses_of(f, blows), n, h, computation_s=computation_s, entry=entry)
+    count = harmonics_for(recording, harmonics)
+    basis = quiet_basis(recording, count)
+    q, r = np.linalg.qr(basis)
+    free = response - q @ (q.T @ response)
+    energy = float((free**2).sum())
+    g = float((free * p).sum()) / energy
+    quiet = np.linalg.solve(r, q.T @ (p - g * response))
+    simulated = g * response
+    measured, stationary = p - quiet[0], basis[:, 1:] @ quiet[1:]
+    residual = measured - stationary - simulated
+    windows = _windows(response, blows)
+    rows = np.concatenate([np.arange(*window) for window in windows])
+    moved, modelled = (measured - stationary)[rows], simulated[rows]
+    angles = np.concatenate([np.full(b - a, blow.direction_deg) for blow, (a, b) in zip(blows, windows, strict=True)])
+    direction = np.column_stack([np.cos(np.deg2rad(angles)), np.sin(np.deg2rad(angles))])
+    along = [(part * direction).sum(axis=1)[:, None] for part in (moved, modelled)]
+    return ImpactValidation(
+        g,
+        _scale_std(g, free, residual, response, f, blows, windows, h),
+        fit_percent(moved, modelled),
+        float(fit_percent(*along)[0]),
+        np.asarray(recording.time),
+        measured,
+        stationary,
+        simulated,
+        f,
+        windows,
+        blows,
+        count,
+        recording.name,
+        "open loop" if controller is None else controller.name,
+    )
+
+
+def _windows(response: FloatArray, blows: Sequence[Blow]) -> tuple[tuple[int, int], ...]:
+    """From each blow until the response to it has died out, at the latest until the next blow."""
+    size = np.hypot(*response.T)
+    windows = []
+    for blow, end in zip(blows, [*(b.start for b in blows[1:]), len(size)], strict=True):
+        part = size[blow.start : end]
+        loud = np.flatnonzero(part > _DIED_OUT * part.max())
+        windows.append((blow.start, blow.start + int(loud[-1]) + 1))
+    return tuple(windows)
+
+
+def _scale_std(
+    g: float,
+    free: FloatArray,
+    residual: FloatArray,
+    response: FloatArray,
+    force: FloatArray,
+    blows: Sequence[Blow],
+    windows: Sequence[tuple[int, int]],
+    h: float,
+) -> float:
+    """Estimate the standard deviation of g_f from the residuals and (they show it in part only) the force's noise."""
+    used = np.ones(len(free), dtype=bool)
+    memory = autocovariance([residual], [used], round(MEMORY_S / h))
+    from_position = float(sandwich([free[:, :, None]], memory)[0, 0]) / float((free**2).sum()) ** 2
+    for blow in blows:
+        used[blow.start : blow.stop + 1] = False
+    noise = float(np.sqrt(np.mean(force[used] ** 2)))
+    energies = np.array([float((response[a:b] ** 2).sum()) for a, b in windows])
+    impulses = np.array([np.hypot(*force[b.start : b.stop + 1].sum(axis=0)) for b in blows])
+    relative = noise * np.sqrt([b.stop - b.start + 1 for b in blows]) / impulses
+    from_force = g**2 * float((energies**2 * relative**2).sum()) / float(energies.sum()) ** 2
+    return float(np.sqrt(from_position + from_force))

@@ -1,0 +1,1 @@
+"""Gains with the most closed-loop damping within limits."""

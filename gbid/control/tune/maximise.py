@@ -1,0 +1,260 @@
+"""Gains with the most damping, for any closed-loop matrices that depend on gains."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.tune.gain_result import GainResult, SearchStep, Status
+from gbid.control.tune.search.global_search import FEASIBLE, Effort, Found, Progress, search
+from gbid.control.tune.search.limits import Limits, Objective
+from gbid.control.tune.search.loop_family import FloatArray, families_of
+from gbid.control.tune.search.problem import Problem
+from gbid.control.tune.search.sqp import Polished, polish
+from gbid.control.tune.verify import exact_norms, static_gains, worst_mode
+from gbid.errors import UsageError
+
+
+def maximise_damping(
+    A_of_gains: ca.Function | Sequence[ca.Function],
+    gains: Sequence[str],
+    lower: npt.ArrayLike,
+    upper: npt.ArrayLike,
+    objective: Objective = "damping",
+    *,
+    slowest_pole: float = 0.0,
+    start: npt.ArrayLike | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> GainResult:
+    r"""Find gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
+
+    .. math:: \max_{l \le g \le u} \; \min_{i,\,j} \; \zeta(\lambda_j(A_i(g))), \quad
+              \zeta(\lambda) = -\mathrm{Re}\,\lambda / |\lambda|
+
+    over all oscillatory eigenvalues (the real ones must be stable), or ``-Re`` over all eigenvalues.
+
+    Parameters
+    ----------
+    A_of_gains : casadi.Function or sequence of these
+        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s].
+    gains : sequence of str
+        Names of the d gains.
+    lower, upper : float or (d,) array
+        Finite bounds.
+    objective : {"damping", "decay"}
+    slowest_pole : float
+        Rate that all eigenvalues must at least decay with [1/s]; at 0 they are stable and no more.
+    start : (d,) array, optional
+        Gains to start from besides; the zero vector (moved into the bounds) is always one of the starts.
+    starts : int, optional
+        Random starts of the global stage. When not given: a grid for up to three gains, 24 for up to twelve, else 12.
+    seed : int
+        Of the random starts.
+    progress : callable, optional
+        Called with a `SearchStep` after each stage.
+
+    Returns
+    -------
+    GainResult
+        Its `status` says whether it is an optimum. Bounds without stabilising gains: status
+        ``"no stabilising gains"``, with the loop that stays unstable and its worst mode.
+
+    Raises
+    ------
+    UsageError
+        For functions that do not take the gains or do not give a square matrix, and for bounds that do not fit.
+
+    Notes
+    -----
+    A global stage finds basins; each is climbed by steps that take in all eigenvalues near the worst (see
+    `gbid.control.tune.search.sqp`), and pairs of them that meet by their mean and squared distance: unlike the
+    eigenvalues themselves, these have derivatives there.
+
+    Examples
+    --------
+    A mass on a spring, ``x'' + g x' + x = 0``: any damping can be had.
+
+    >>> import casadi as ca
+    >>> g = ca.SX.sym("g")
+    >>> A = ca.Function("A", [g], [ca.blockcat([[0, 1], [-1, -g]])])
+    >>> result = maximise_damping(A, ["g"], 0, 1)
+    >>> round(result.gains["g"], 6), round(result.value, 6)
+    (1.0, 0.5)
+    """
+    functions = [A_of_gains] if isinstance(A_of_gains, ca.Function) else list(A_of_gains)
+    names = (gains,) if isinstance(gains, str) else tuple(gains)
+    if not functions or not names:
+        raise UsageError("maximise_damping: give at least one function and one gain")
+    low, high = as_bounds(lower, upper, names)
+    families = families_of(functions, len(names))
+    neutral = np.clip(np.zeros(len(names)), low, high)
+    limits = Limits(objective, slowest_pole)
+    problem = Problem(families, limits, low, high, typical_rate(families, neutral))
+    given = [] if start is None else [as_start(start, names)]
+    polished, history = solve(problem, neutral, Effort(starts, seed), given, progress)
+    count = sum(len(family) for family in families)
+    return summarise(problem, polished, names, history, f"eigenvalues of the {count} closed-loop matrices")
+
+
+def solve(
+    problem: Problem,
+    neutral: FloatArray,
+    effort: Effort,
+    first: Iterable[FloatArray] = (),
+    progress: Progress | None = None,
+    found: Polished | None = None,
+) -> tuple[Polished, tuple[SearchStep, ...]]:
+    """Search, or climb from a design found before; then add the peaks that a grid had missed until there are none."""
+    if found is None:
+        result = search(problem, neutral, effort, first, progress)
+    else:
+        result = Found(polish(problem, found.x, max_iterations=300, radius=0.02), ())
+    best, history = result.best, list(result.history)
+    for _ in range(10):
+        if not add_cuts(problem, best.x):
+            break
+        best = polish(problem, best.x, max_iterations=200, radius=0.02)
+        history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
+        if progress is not None:
+            progress(history[-1])
+    return best, tuple(history)
+
+
+def add_cuts(problem: Problem, x: FloatArray) -> bool:
+    """Note frequencies at which exact norms exceed their limit by more than the grid knew; whether there were any."""
+    known = problem.score(x).violation
+    added = False
+    for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
+        if limit is None or not problem.stable(x):
+            continue
+        for f, family in enumerate(problem.families):
+            for i, norm in enumerate(exact_norms(family, x, kind)):
+                if np.log(norm.value / limit) > max(known, 0.0) + 1e-7 and np.isfinite(norm.frequency):
+                    problem.cuts.append((kind, f, i, norm.frequency))
+                    added = True
+    return added
+
+
+def summarise(
+    problem: Problem,
+    found: Polished,
+    names: tuple[str, ...],
+    history: tuple[SearchStep, ...],
+    verified_on: str,
+    notes: tuple[str, ...] = (),
+    **more: Any,
+) -> GainResult:
+    """Form the result from plain eigenvalues and exact norms of the final design."""
+    x = np.clip(found.x, problem.lower, problem.upper)
+    score, stable = problem.score(x), problem.stable(x)
+    worst = worst_mode(problem, x)
+    status: Status = "optimal" if found.converged else "iteration limit"
+    if not stable:
+        status = "no stabilising gains"
+        notes = (*notes, f"no gains within the bounds were found that stabilise {worst.where}: " + _mode(worst))
+    elif score.violation > FEASIBLE:
+        status = "limits contradict"
+        notes = (*notes, f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}")
+    more = {**_peaks(problem, x, stable), **more}
+    return GainResult(
+        dict(zip(names, map(float, x), strict=True)),
+        problem.in_units(score.value),
+        problem.limits.objective,
+        status,
+        status == "optimal",
+        score.violation,
+        verified_on,
+        worst,
+        _active(problem, x, names, stable),
+        notes,
+        history=history,
+        **more,
+    )
+
+
+def _mode(worst: Any) -> str:
+    return f"its worst mode has {worst.frequency_hz:.4g} Hz and damping {worst.damping:.4g}"
+
+
+def _peaks(problem: Problem, x: FloatArray, stable: bool) -> dict[str, float]:
+    """Exact peaks over all loops that have the outputs for it."""
+    families = [family for family in problem.families if family.n_outputs]
+    if not families or not stable:
+        return {}
+    return {
+        "peak_sensitivity": max(norm.value for f in families for norm in exact_norms(f, x, "sensitivity")),
+        "peak_control": max(norm.value for f in families for norm in exact_norms(f, x, "control")),
+        "static_amplification": max(float(static_gains(f, x).max()) for f in families),
+    }
+
+
+def _active(problem: Problem, x: FloatArray, names: tuple[str, ...], stable: bool) -> tuple[str, ...]:
+    width = problem.upper - problem.lower
+    bounds = [f"{n} at its lower bound" for n, at in zip(names, x - problem.lower < 1e-6 * width, strict=True) if at]
+    bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
+    if not stable:
+        return tuple(bounds)
+    limits = []
+    located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
+    for piece in problem.pieces(x).limits:
+        if piece.value > -1e-4:
+            family = problem.families[piece.family]
+            where = f" at {family.labels[piece.loop]}" if piece.kind in located else ""
+            limits.append(_TITLES.get(piece.kind, piece.kind) + where)
+    return tuple(dict.fromkeys([*limits, *bounds]))
+
+
+_TITLES = {
+    "pole": "slowest pole",
+    "sensitivity": "peak of S_o",
+    "control": "peak of K S_o",
+    "static": "static amplification",
+}
+
+
+def typical_rate(families: Sequence[Any], x: FloatArray) -> float:
+    """Geometric mean of the eigenvalues' magnitudes: the unit of rates, which differ by decades between problems."""
+    sizes = np.concatenate([np.abs(np.linalg.eigvals(family.states(x))).ravel() for family in families])
+    if not np.isfinite(sizes).all():
+        raise UsageError("the closed-loop matrix is not finite at the start; check the function and its bounds")
+    sizes = sizes[sizes > 1e-9 * sizes.max()] if sizes.any() else np.ones(1)
+    return float(np.exp(np.log(sizes).mean()))
+
+
+def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return bounds as arrays of one number per gain.
+
+    Raises
+    ------
+    UsageError
+        When there are not as many as gains, or they are not finite, or the wrong way round.
+    """
+    try:
+        low, high = (np.broadcast_to(np.asarray(b, float), len(names)).copy() for b in (lower, upper))
+    except ValueError:
+        sizes = f"{np.shape(lower)} and {np.shape(upper)}"
+        raise UsageError(f"bounds of shape {sizes} for {len(names)} gains ({', '.join(names)})") from None
+    for name, a, b in zip(names, low, high, strict=True):
+        if not (np.isfinite(a) and np.isfinite(b) and a < b):
+            raise UsageError(f"gain {name!r}: bounds [{a:g}, {b:g}]; give two finite numbers, lower first")
+    return low, high
+
+
+def as_start(start: npt.ArrayLike, names: tuple[str, ...]) -> FloatArray:
+    """Return a start as an array.
+
+    Raises
+    ------
+    UsageError
+        When it has not one finite number per gain.
+    """
+    x = np.asarray(start, float)
+    if x.shape != (len(names),) or not np.isfinite(x).all():
+        raise UsageError(f"start has shape {x.shape}; give {len(names)} finite numbers ({', '.join(names)})")
+    return x

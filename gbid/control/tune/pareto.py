@@ -1,0 +1,81 @@
+"""Damping against the peak of the sensitivity: what each costs in the other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from gbid.brief import brief
+from gbid.control.tune.gain_result import GainResult
+from gbid.control.tune.tune import tune
+from gbid.errors import UsageError
+from gbid.lpv import LPVModel
+
+
+@dataclass(frozen=True)
+class ParetoFront:
+    """Best designs under a rising cap.
+
+    Attributes
+    ----------
+    caps : tuple of float
+        Caps on the peak of S_o, rising.
+    designs : tuple of GainResult
+        One for each cap.
+    """
+
+    caps: tuple[float, ...]
+    designs: tuple[GainResult, ...]
+
+    def __repr__(self) -> str:
+        designs = {
+            f"cap {cap:g}": f"{d.objective} {d.value:.6g}, {d.status}"
+            for cap, d in zip(self.caps, self.designs, strict=True)
+        }
+        return brief(self, f"{len(self.caps)} designs", **designs)
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """Damping factor (or decay rate) reached under each cap; NaN where no design keeps it."""
+        return tuple(design.value if design.success else float("nan") for design in self.designs)
+
+
+def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
+    """Tune under one cap after the other.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+    caps : sequence of float
+        Caps on the peak of S_o, in any order; each above 1.
+    **options
+        As `gbid.tune`, without ``peak_sensitivity``.
+
+    Returns
+    -------
+    ParetoFront
+        Each design starts from that of the next lower cap as well, which keeps the higher cap too: more room is never
+        worse.
+
+    Raises
+    ------
+    UsageError
+        For caps that are no numbers above 1, and as `gbid.tune`.
+    """
+    if "peak_sensitivity" in options:
+        raise UsageError("pareto: peak_sensitivity is set by caps; leave it out")
+    try:
+        rising = sorted({float(cap) for cap in caps})
+    except (TypeError, ValueError):
+        rising = []
+    if not rising or not all(np.isfinite(cap) and cap > 1 for cap in rising):
+        raise UsageError(f"pareto: caps = {caps!r}; give numbers above 1 (S_o is 1 at high frequencies)")
+    designs: list[GainResult] = []
+    given = options.pop("start", None)
+    for cap in rising:
+        start = designs[-1].gains if designs and designs[-1].success else given
+        designs.append(tune(lpv, peak_sensitivity=cap, start=start, **options))
+    return ParetoFront(tuple(rising), tuple(designs))

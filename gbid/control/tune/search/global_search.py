@@ -1,0 +1,220 @@
+"""The global stage: where to start, and the best of what local optimisation makes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from gbid.control.tune.gain_result import SearchStep
+from gbid.control.tune.search.loop_family import FloatArray
+from gbid.control.tune.search.problem import Problem, Score
+from gbid.control.tune.search.sqp import Polished, merit, polish
+
+Progress = Callable[[SearchStep], None]
+PENALTY = 10.0
+_GRID = {1: 61, 2: 25, 3: 9}
+"""Points per gain of the grid for up to three gains."""
+_SHAKES = (0.0015, 0.005, 0.015, 0.05)
+_SHAKEN = 3
+"""How many designs that lie apart are shaken: the best after the first climb need not stay the best."""
+FEASIBLE = 1e-6
+"""A limit exceeded by less, relative, is kept."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is spent on the search.
+
+    Parameters
+    ----------
+    starts : int, optional
+        Random starts. When not given: a grid for up to three gains, 24 starts for up to twelve, else 12.
+    seed : int
+        Of the random starts.
+    finalists : int
+        How many of the best are optimised to the end.
+    shakes : int
+        How often, at most, each of the best is moved at random and optimised again, with more than three gains: valleys
+        between eigenvalues that meet are narrow, and a climb may end on their side. It ends when several in a row
+        were in vain.
+    """
+
+    starts: int | None = None
+    seed: int = 0
+    finalists: int = 5
+    shakes: int = 48
+
+
+@dataclass(frozen=True)
+class Found:
+    """Best design of a search."""
+
+    best: Polished
+    history: tuple[SearchStep, ...]
+
+
+def search(
+    problem: Problem,
+    neutral: FloatArray,
+    effort: Effort,
+    first: Iterable[FloatArray] = (),
+    progress: Progress | None = None,
+) -> Found:
+    """Search the whole box.
+
+    Parameters
+    ----------
+    problem : Problem
+    neutral : (d,) array
+        Gains near which the loops are likely to be stable: random starts are drawn towards it until they are.
+    effort : Effort
+    first : iterable of (d,) arrays
+        Starts besides.
+    progress : callable, optional
+
+    Returns
+    -------
+    Found
+
+    Notes
+    -----
+    Up to three gains: a grid; the best points that are no neighbours are optimised. More: a Sobol sequence,
+    each start optimised for a while. The best are then optimised to the end.
+    """
+    history: list[SearchStep] = []
+
+    top: list[Score] = []
+
+    def note(stage: str, score: Score) -> None:
+        if not top or better(score, top[0]):
+            top[:] = [score]
+        history.append(SearchStep(stage, problem.evaluations, problem.in_units(top[0].value), top[0].violation))
+        if progress is not None:
+            progress(history[-1])
+
+    d = len(neutral)
+    given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
+    if d in _GRID and effort.starts is None:
+        candidates = given + _basins(problem, _GRID[d], 2 * effort.finalists)
+        rough = [polish(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in candidates]
+        note("global", _best(rough).score)
+    else:
+        draws = _draws(problem, neutral, effort)
+        rough = []
+        for start in (*given, *draws):
+            rough.append(polish(problem, start, max_iterations=40, curvature=d <= 3, tolerance=1e-5))
+            note("global", _best(rough).score)
+    rough.sort(key=lambda found: merit(found.score, PENALTY), reverse=True)
+    finals: list[Polished] = []
+    for start in rough[: effort.finalists]:
+        if any(np.allclose(start.x, other.x, rtol=0, atol=1e-6) for other in finals):
+            continue
+        finals.append(polish(problem, start.x, max_iterations=300))
+        note("polish", _best(finals).score)
+    best = _best(finals)
+    if d not in _GRID and effort.shakes:
+        rng = np.random.default_rng(effort.seed)
+        shaken = []
+        for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_SHAKEN]:
+            shaken.append(_shake(problem, start, rng, effort.shakes, len(_SHAKES), note))
+        best = _shake(problem, _best(shaken), rng, effort.shakes, 2 * len(_SHAKES), note)
+    if not best.converged:
+        best = polish(problem, best.x, max_iterations=600, radius=0.005)
+        note("polish", best.score)
+    return Found(best, tuple(history))
+
+
+def _shake(
+    problem: Problem,
+    best: Polished,
+    rng: np.random.Generator,
+    most: int,
+    in_vain: int,
+    note: Callable[[str, Score], None],
+) -> Polished:
+    """Move a design at random and climb again, until it was in vain a number of times in a row."""
+    vain = 0
+    for i in range(most):
+        if vain == in_vain:
+            break
+        size = _SHAKES[i % len(_SHAKES)]
+        moved = best.x + size * rng.standard_normal(len(best.x)) * (problem.upper - problem.lower)
+        again = polish(problem, moved, max_iterations=120, radius=0.02)
+        vain = 0 if better(again.score, best.score) else vain + 1
+        best = best if vain else again
+        note("shake", best.score)
+    return best
+
+
+def _apart(found: list[Polished], distance: FloatArray) -> list[Polished]:
+    """Designs that differ by more than a distance in some gain, best first."""
+    chosen: list[Polished] = []
+    for one in sorted(found, key=lambda design: merit(design.score, PENALTY), reverse=True):
+        if all((np.abs(one.x - other.x) > distance).any() for other in chosen):
+            chosen.append(one)
+    return chosen
+
+
+def better(one: Score, other: Score) -> bool:
+    """Whether a design is better than another: limits kept first, then the aim."""
+    kept = one.violation <= FEASIBLE, other.violation <= FEASIBLE
+    if kept[0] != kept[1]:
+        return kept[0]
+    return one.value > other.value if kept[0] else one.violation < other.violation
+
+
+def _best(found: list[Polished]) -> Polished:
+    best = found[0]
+    for one in found[1:]:
+        best = one if better(one.score, best.score) else best
+    return best
+
+
+def _basins(problem: Problem, n: int, most: int) -> list[FloatArray]:
+    """Best points of a grid that are no neighbours, best first.
+
+    They are more than the local maxima of the grid: along a limit it cuts through ridges and hides optima.
+
+    A design's aim alone is cheap and bounds its merit, so peaks are computed only where the aim can still compete.
+    """
+    d = len(problem.lower)
+    axes = [np.linspace(low, high, n) for low, high in zip(problem.lower, problem.upper, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
+    aims = np.array([problem.aim_bound(x) for x in grid])
+    merits = np.full(len(grid), -np.inf)
+    best = -np.inf
+    for i in np.argsort(-aims, kind="stable"):
+        if aims[i] <= best - 0.1:
+            break
+        merits[i] = merit(problem.score(grid[i]), PENALTY)
+        best = max(best, merits[i])
+    chosen: list[FloatArray] = []
+    cell = (problem.upper - problem.lower) / (n - 1)
+    for i in np.argsort(-merits, kind="stable"):
+        if len(chosen) == most or not np.isfinite(merits[i]):
+            break
+        if all(np.abs((grid[i] - other) / cell).max() > 1.5 for other in chosen):
+            chosen.append(grid[i])
+    return chosen
+
+
+def _draws(problem: Problem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
+    """Random starts, each moved towards the neutral gains until its loops are stable."""
+    d = len(neutral)
+    n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
+    unit = qmc.Sobol(d, seed=np.random.default_rng(effort.seed)).random(1 << max(n - 1, 1).bit_length())[:n]
+    starts = []
+    for u in unit:
+        # positive bounds that lie decades apart are drawn evenly in the logarithm
+        decades = (problem.lower > 0) & (problem.upper > 10 * problem.lower)
+        low, high = np.where(decades, problem.lower, 1.0), np.where(decades, problem.upper, 1.0)
+        x = np.where(decades, low * (high / low) ** u, problem.lower + u * (problem.upper - problem.lower))
+        for share in (1.0, 0.5, 0.25, 0.12, 0.06, 0.03):
+            start = neutral + np.where(decades, 1.0, share) * (x - neutral)
+            if problem.stable(start):
+                break
+        starts.append(start)
+    return starts

@@ -1,0 +1,87 @@
+"""What sampling and computation do to a loop, in continuous time: they delay it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from math import isfinite
+
+import casadi as ca
+
+from gbid.control.controllers.scheduled import Scheduled, controller_at
+from gbid.control.loop.sampled import exact_plant, sampled_loop
+from gbid.errors import UsageError
+from gbid.lpv import LPVModel
+from gbid.structure import pade_delay
+from gbid.structure.linear import Structure
+
+PADE_ORDER = 3
+"""Of the delays of a loop that is designed for sampling."""
+
+
+def loop_delay(sample_time: float | None, computation_s: float | None) -> float:
+    """Delay of holding the references, half a sample, and computing them, one sample when not given [s].
+
+    Raises
+    ------
+    UsageError
+        For times that make no sense, or a computation without sampling.
+    """
+    if sample_time is None:
+        if computation_s is not None:
+            raise UsageError("computation_s: give sample_time as well")
+        return 0.0
+    computation = sample_time if computation_s is None else computation_s
+    if not (isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"sample_time = {sample_time}; give seconds, above 0")
+    if not (isfinite(computation) and computation >= 0):
+        raise UsageError(f"computation_s = {computation}; give seconds, 0 or more")
+    return computation + sample_time / 2
+
+
+def smallest_sampled_damping(
+    lpv: LPVModel,
+    controller: Structure | Scheduled,
+    gains: Mapping[str, float],
+    points: Iterable[tuple[float, float]],
+    sample_time: float,
+    computation_s: float | None,
+) -> tuple[float, tuple[float, float]]:
+    """Smallest damping factor of the truly sampled loop over points, and where; -1 when it is not stable.
+
+    Delays are exact, the controller is sampled by Tustin's rule.
+    """
+    found = []
+    for point in points:
+        loop = sampled_loop(
+            exact_plant(lpv, *point), controller_at(controller, gains, *point), sample_time, computation_s=computation_s
+        )
+        found.append((loop.damping if loop.stable else -1.0, point))
+    return min(found)
+
+
+def delayed_outputs(controller: dict[str, ca.SX], delay_s: float) -> dict[str, ca.SX]:
+    """Delay both outputs of a controller.
+
+    Parameters
+    ----------
+    controller : dict of str to casadi.SX
+        A (n, n), B (n, 2), C (2, n), D (2, 2).
+    delay_s : float
+        Padé approximation of order `PADE_ORDER`; 0 leaves the controller as it is.
+
+    Returns
+    -------
+    dict of str to casadi.SX
+        The states of the delays follow those of the controller.
+    """
+    if not delay_s:
+        return controller
+    A, B, C, D = (controller[letter] for letter in "ABCD")
+    late, two = pade_delay(delay_s, PADE_ORDER), ca.SX.eye(2)
+    a, b, c, d = (ca.kron(two, M) for M in (late.A, late.B, late.C, late.D))
+    return {
+        "A": ca.blockcat([[A, ca.SX(A.shape[0], a.shape[0])], [b @ C, a]]),
+        "B": ca.vertcat(B, b @ D),
+        "C": ca.horzcat(d @ C, c),
+        "D": d @ D,
+    }

@@ -1,0 +1,251 @@
+"""Closed-loop matrices as functions of the gains, at many operating points at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.tune.search.direct_call import DirectCall
+from gbid.control.tune.search.loop_delay import delayed_outputs
+from gbid.errors import UsageError
+from gbid.lpv import LPVModel
+from gbid.structure import KEY_PARAMETERS, Parameter, PiezoPair, Plant, RotorBearing
+from gbid.structure.linear import Structure
+from gbid.structure.parameter import Values
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Loops:
+    """Matrices of loops: A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d)."""
+
+    A: FloatArray
+    B: FloatArray
+    C: FloatArray
+    D: FloatArray
+
+
+@dataclass(frozen=True)
+class Derivatives(Loops):
+    """Matrices of loops, and their derivatives by each gain, which have the d gains as second axis."""
+
+    dA: FloatArray
+    dB: FloatArray
+    dC: FloatArray
+    dD: FloatArray
+
+    def of(self, loops: npt.NDArray[np.intp]) -> Derivatives:
+        """Return some of the loops."""
+        return Derivatives(*(getattr(self, entry.name)[loops] for entry in fields(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Derivatives]) -> Derivatives:
+        """Return the loops of all parts, one part after the other."""
+        return cls(*(np.concatenate([getattr(part, entry.name) for part in parts]) for entry in fields(cls)))
+
+
+@dataclass(frozen=True, eq=False)
+class LoopFamily:
+    """Loops of one size that share their gains.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        From the gains (d, 1) to A, B, C, D of all loops side by side: ``(n, n m)`` and so on.
+    jacobian : casadi.Function
+        From the gains to the derivatives of ``vec(A)``, ... of each loop, side by side: ``(n^2, d m)`` and so on.
+    labels : tuple of str
+        What each loop is, for messages.
+    points : (m, 2) array, optional
+        Pressure [bar] and speed [rpm] of each loop, where they are operating points.
+    n_outputs : int
+        How many rows of C belong to the output sensitivity; those below are the control signals. 0: A alone.
+    """
+
+    function: ca.Function
+    jacobian: ca.Function
+    labels: tuple[str, ...]
+    points: FloatArray | None = None
+    n_outputs: int = 0
+    _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self._calls.update(matrices=DirectCall(self.function, len(self)), slopes=DirectCall(self.jacobian, len(self)))
+
+    def __len__(self) -> int:
+        return len(self.labels)
+
+    def matrices(self, gains: FloatArray) -> Loops:
+        """Return the matrices of all loops."""
+        return Loops(*self._calls["matrices"](gains))
+
+    def states(self, gains: FloatArray) -> FloatArray:
+        """Return A (m, n, n)."""
+        return self.matrices(gains).A
+
+    def derivatives(self, gains: FloatArray) -> Derivatives:
+        """Return the matrices with their derivatives."""
+        values = self._calls["matrices"](gains)
+        slopes = (
+            np.ascontiguousarray(
+                J.transpose(0, 2, 1).reshape(len(self), len(gains), M.shape[2], M.shape[1]).transpose(0, 1, 3, 2)
+            )
+            for J, M in zip(self._calls["slopes"](gains), values, strict=True)
+        )
+        return Derivatives(*values, *slopes)
+
+
+def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
+    """Make families of a user's functions from gains to A: one family for each size of A.
+
+    Raises
+    ------
+    UsageError
+        When a function has not one input of n_gains numbers and a square matrix as its first output.
+    """
+    by_size: dict[int, list[tuple[str, ca.Function]]] = {}
+    for i, function in enumerate(functions):
+        if not isinstance(function, ca.Function):
+            raise UsageError(f"A_of_gains[{i}] is no casadi.Function")
+        n, columns = function.size_out(0)
+        if function.n_in() != 1 or function.numel_in(0) != n_gains or n != columns or n == 0:
+            raise UsageError(
+                f"A_of_gains[{i}] ({function.name()}): {function.n_in()} inputs of {function.size_in(0)} to "
+                f"{(n, columns)}; it must take one vector of {n_gains} gains and give a square matrix"
+            )
+        by_size.setdefault(n, []).append((f"A[{i}]", function))
+    return tuple(_family_of_functions(group, n, n_gains) for n, group in by_size.items())
+
+
+def _family_of_functions(group: list[tuple[str, ca.Function]], n: int, n_gains: int) -> LoopFamily:
+    kind: Any = ca.SX if all(function.is_a("SXFunction") for _, function in group) else ca.MX
+    g = kind.sym("gains", n_gains)
+    A = [ca.densify(function(ca.reshape(g, *function.size_in(0)))) for _, function in group]
+    m = len(A)
+    none = [kind(n, 0), kind(0, n * m), kind(0, 0)]
+    slopes = ca.horzcat(*(ca.densify(ca.jacobian(ca.vec(M), g)) for M in A))
+    nothing = kind(0, n_gains * m)
+    return LoopFamily(
+        ca.Function("matrices", [g], [ca.horzcat(*A), *none]),
+        ca.Function("slopes", [g], [slopes, nothing, nothing, nothing]),
+        tuple(label for label, _ in group),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class LoopEquations:
+    r"""Closed loop of an LPV plant and a controller structure, symbolic in gains, pressure and speed.
+
+    With the plant ``x' = A x + B r, p = C x`` (Eq. 20), the controller ``K`` and a disturbance d on the measured
+    position, ``r = K (p + d)``:
+
+    .. math:: A_{cl} = \begin{pmatrix} A + B D_K C & B C_K \\ B_K C & A_K \end{pmatrix},\quad
+              B_{cl} = \begin{pmatrix} B D_K \\ B_K \end{pmatrix}
+
+    and the outputs ``p + d = S_o d`` and ``r = K S_o d`` (Eq. 22).
+
+    Parameters
+    ----------
+    gains : tuple of Parameter
+    function : casadi.Function
+        ``(gains, scenario) -> A, B, C, D``. A scenario is pressure [bar], speed [rpm] and what is added to each of the
+        fourteen key parameters there.
+    jacobian : casadi.Function
+        ``(gains, scenario)`` to the derivatives of ``vec`` of each by the gains.
+    """
+
+    gains: tuple[Parameter, ...]
+    function: ca.Function
+    jacobian: ca.Function
+
+    def family(self, scenarios: FloatArray, labels: Sequence[str] | None = None) -> LoopFamily:
+        """Loops at given scenarios (m, 16), or (m, 2) of pressure and speed alone."""
+        S = np.zeros((len(scenarios), 2 + len(KEY_PARAMETERS)))
+        S[:, : scenarios.shape[1]] = scenarios
+        m, g = len(S), ca.MX.sym("gains", len(self.gains))
+        args = [ca.repmat(g, 1, m), ca.DM(S.T)]
+        if labels is None:
+            labels = [f"{P:g} bar, {Omega:g} rpm" for P, Omega in S[:, :2]]
+        mapped: list[Any] = [f.map(m)(*args) for f in (self.function, self.jacobian)]
+        values, slopes = (ca.Function("loops", [g], list(outputs)) for outputs in mapped)
+        return LoopFamily(values, slopes, tuple(labels), np.ascontiguousarray(S[:, :2]), 2)
+
+
+def loop_equations(
+    lpv: LPVModel,
+    controller: Structure | Scheduled,
+    actuator: dict[str, float] | None = None,
+    *,
+    delay_s: float = 0.0,
+) -> LoopEquations:
+    """Write down the closed loop once, for all operating points.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+    controller : Structure or Scheduled
+        From p to r; see `gbid.controller_structure` and `gbid.control.controllers.scheduled`.
+    actuator : dict of str to float, optional
+        Parameters of Eq. 12; the model's own when not given.
+    delay_s : float
+        What sampling and computation add to the loop [s].
+
+    Returns
+    -------
+    LoopEquations
+
+    Raises
+    ------
+    UsageError
+        When there are no actuators, or the controller has not two inputs and two outputs.
+    """
+    actuators = dict(lpv.actuators if actuator is None else actuator)
+    missing = [parameter.name for parameter in PiezoPair().parameters if parameter.name not in actuators]
+    if missing:
+        raise UsageError(f"model {lpv.name!r} has no actuator {', '.join(missing)}; give actuator={{...}}")
+    gains = tuple(controller.parameters)
+    g, s = ca.SX.sym("gains", len(gains)), ca.SX.sym("scenario", 2 + len(KEY_PARAMETERS))
+    key = lpv.key_parameters(s[0], s[1])
+    values = {**actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
+    plant = Plant(RotorBearing(lpv.pade_order, disturbance_gain="none"), PiezoPair(), outputs=("p",))
+    G = plant.matrices(Values(values))
+    K = delayed_outputs(_controller_matrices(controller, gains, g, s), delay_s)
+    n, n_K = G["A"].shape[0], K["A"].shape[0]
+    A = ca.blockcat([[G["A"] + G["B"] @ K["D"] @ G["C"], G["B"] @ K["C"]], [K["B"] @ G["C"], K["A"]]])
+    B = ca.vertcat(G["B"] @ K["D"], K["B"])
+    C = ca.blockcat([[G["C"], ca.SX(2, n_K)], [K["D"] @ G["C"], K["C"]]])
+    D = ca.vertcat(ca.SX.eye(2), K["D"])
+    assert A.shape == (n + n_K, n + n_K)
+    matrices = [ca.densify(ca.SX(M)) for M in (A, B, C, D)]
+    slopes = [ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices]
+    return LoopEquations(gains, ca.Function("loop", [g, s], matrices), ca.Function("slopes", [g, s], slopes))
+
+
+def _controller_matrices(
+    controller: Structure | Scheduled, gains: tuple[Parameter, ...], g: ca.SX, s: ca.SX
+) -> dict[str, ca.SX]:
+    values = Values.of(gains, g)
+    if isinstance(controller, Scheduled):
+        given = dict(controller.matrices(values, s[0], s[1]))
+    else:
+        given = dict(controller.matrices(values))
+    given.setdefault("D", ca.SX(2, 2))
+    K = {letter: _as_sx(given[letter]) for letter in "ABCD"}
+    n = K["A"].shape[0]
+    for letter, shape in {"A": (n, n), "B": (n, 2), "C": (2, n), "D": (2, 2)}.items():
+        if K[letter].shape != shape:
+            raise UsageError(f"controller {controller.name!r}: {letter} has shape {K[letter].shape}, expected {shape}")
+    return K
+
+
+def _as_sx(value: Any) -> ca.SX:
+    if isinstance(value, list | tuple):
+        return ca.SX(ca.vertcat(*(ca.horzcat(*row) if isinstance(row, list | tuple) else row for row in value)))
+    return ca.SX(value)

@@ -1,0 +1,337 @@
+"""The smooth pieces of a design problem: each eigenvalue's damping, each peak, and their derivatives.
+
+The aim is the smallest of many functions of the gains and every limit the largest of many; each of them is smooth
+where eigenvalues do not meet. A local method that knows all that are near the worst steps along the edges between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tune.search.limits import ExtraLimit, Limits
+from gbid.control.tune.search.loop_family import Derivatives, FloatArray, LoopFamily, Loops
+from gbid.control.tune.search.peaks import Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tune.search.spectrum import (
+    REAL,
+    ComplexArray,
+    Eigensystem,
+    Pair,
+    damping_factors,
+    damping_slopes,
+    pair_of,
+)
+
+BoolArray = npt.NDArray[np.bool_]
+_RESPONSES = ("sensitivity", "control", "static")
+_WINDOW = 0.3
+"""Pieces further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """How good a design is: the aim, and by how much the worst limit is exceeded (relative; 0 when kept)."""
+
+    value: float
+    violation: float
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One smooth function of the gains: its name (kind, family, loop), value, slope, and place in the plane."""
+
+    kind: str
+    family: int
+    loop: int
+    value: float
+    slope: FloatArray
+    place: complex
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """Pieces of the aim (to be large) and of the limits (to be at most 0) at one design, with their pairs."""
+
+    score: Score
+    aim: tuple[Piece, ...]
+    limits: tuple[Piece, ...]
+    pairs: tuple[tuple[Piece, Pair], ...] = ()
+
+
+@dataclass(eq=False)
+class Problem:
+    """Loops, limits and bounds. Evaluates designs; counts them.
+
+    Parameters
+    ----------
+    families : tuple of LoopFamily
+    limits : Limits
+    lower, upper : (d,) array
+        Bounds of the gains.
+    scale : float
+        A typical eigenvalue [rad/s]; rates are measured in it.
+    cuts : list
+        Frequencies of peaks that an exact norm has found, as (kind, family, loop, frequency).
+    linear : tuple of (name, row, limit)
+        Limits ``row x <= limit``.
+    """
+
+    families: tuple[LoopFamily, ...]
+    limits: Limits
+    lower: FloatArray
+    upper: FloatArray
+    scale: float
+    cuts: list[tuple[str, int, int, float]] = field(default_factory=list)
+    linear: tuple[tuple[str, FloatArray, float], ...] = ()
+    evaluations: int = 0
+
+    @property
+    def slowest(self) -> float:
+        """Rate every eigenvalue must exceed; a hair above zero, so that a design at the edge is stable."""
+        return max(self.limits.slowest_pole, 1e-7 * self.scale)
+
+    def score(self, x: FloatArray, worst: float = -np.inf) -> Score:
+        """Evaluate one design; stop early once its aim is below `worst`."""
+        self.evaluations += 1
+        value, violation = np.inf, 0.0
+        every = [family.matrices(x) for family in self.families]
+        for loops in every:
+            values = np.linalg.eigvals(loops.A).astype(complex)
+            value = min(value, float(self.aim(values).min()))
+            violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
+        if value < worst:
+            return Score(value, max(violation, 0.0))
+        for _, _, peaks, limit in self._responses(every):
+            if len(peaks.value):
+                violation = max(violation, float(np.log(peaks.value.max() / limit)))
+        for _, row, limit in self.linear:
+            violation = max(violation, float(row @ x - limit))
+        for extra in self.limits.extra:
+            violation = max([violation, *(float(extra.excess(family, x).max()) for family in self.families)])
+        return Score(value, max(violation, 0.0))
+
+    def aim_bound(self, x: FloatArray) -> float:
+        """Upper bound of a design's merit: its aim, less what its slowest pole costs; -inf where it is unstable."""
+        value, slow = np.inf, -np.inf
+        for family in self.families:
+            values = np.linalg.eigvals(family.states(x)).astype(complex)
+            value, slow = min(value, float(self.aim(values).min())), max(slow, float(values.real.max()))
+        return value - 10.0 * max(0.0, (self.slowest + slow) / self.scale)
+
+    def stable(self, x: FloatArray) -> bool:
+        """Whether all loops are."""
+        return all(bool((np.linalg.eigvals(family.states(x)).real < 0).all()) for family in self.families)
+
+    def aim(self, eigenvalues: ComplexArray) -> FloatArray:
+        """Return what each eigenvalue contributes to the aim: damping factor, or decay in units of the scale."""
+        if self.limits.objective == "damping":
+            return damping_factors(eigenvalues)
+        return -eigenvalues.real / self.scale
+
+    def in_units(self, aim: float) -> float:
+        """Return the aim as it is reported: damping factor, or decay [1/s]."""
+        return aim if self.limits.objective == "damping" else aim * self.scale
+
+    def pieces(self, x: FloatArray) -> Pieces:
+        """Evaluate one design with the slopes of everything near its worst."""
+        self.evaluations += 1
+        aims: list[Piece] = []
+        limits: list[Piece] = []
+        pairs: list[tuple[Piece, Pair]] = []
+        slopes_by = [family.derivatives(x) for family in self.families]
+        systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
+        values = [self.aim(system.values) for system in systems]
+        worst = min(float(v.min()) for v in values)
+        for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
+            upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
+            near = (aim < worst + _WINDOW) & upper & (aim < 1.0 if self.limits.objective == "damping" else True)
+            aims += self._of_eigenvalues("aim", f, system, derivatives, near)
+            slow = (self.slowest + system.values.real) / self.scale
+            limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -_WINDOW) & upper)
+            pairs += self._pairs(f, system, derivatives, near)
+        for kind, f, peaks, limit in self._responses(slopes_by, systems):
+            keep = np.flatnonzero(np.log(peaks.value / limit) > -_WINDOW)
+            chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
+            slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
+            for loop, w, value, slope in zip(chosen.loop, chosen.frequency, chosen.value, slopes, strict=True):
+                limits.append(Piece(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w)))
+        for name, row, limit in self.linear:
+            if (excess := float(row @ x - limit)) > -_WINDOW:
+                limits.append(Piece(name, 0, 0, excess, row, 0j))
+        for extra in self.limits.extra:
+            limits += [piece for f in range(len(self.families)) for piece in self._extra(extra, f, x)]
+        violation = max([0.0, *(piece.value for piece in limits)])
+        return Pieces(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
+
+    def _of_eigenvalues(
+        self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
+    ) -> list[Piece]:
+        loop, which = np.nonzero(chosen)
+        values = system.values[loop, which]
+        slopes = system.slopes(loop, which, derivatives.dA)
+        if kind == "pole":
+            numbers, gradients = (self.slowest + values.real) / self.scale, slopes.real / self.scale
+        elif self.limits.objective == "damping":
+            numbers, gradients = damping_factors(values), damping_slopes(values, slopes)
+        else:
+            numbers, gradients = -values.real / self.scale, -slopes.real / self.scale
+        return [
+            Piece(kind, f, int(i), float(number), gradient, complex(value))
+            for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
+        ]
+
+    def _pairs(
+        self, f: int, system: Eigensystem, derivatives: Derivatives, near: BoolArray
+    ) -> list[tuple[Piece, Pair]]:
+        """Pairs of eigenvalues about to meet, the mean as a piece that is smooth there."""
+        found = []
+        for i in np.flatnonzero(near.sum(axis=1) > 1):
+            which = np.flatnonzero(near[i])
+            candidates = system.values[i, which]
+            distance = np.abs(candidates[:, None] - candidates) + np.diag(np.full(len(candidates), np.inf))
+            a, b = np.unravel_index(distance.argmin(), distance.shape)
+            if distance[a, b] > 0.15 * abs(candidates[a] + candidates[b]):
+                continue
+            pair = pair_of(system, derivatives.dA[i], int(i), int(which[a]), int(which[b]))
+            if pair is not None:
+                value, gradient = self._mean_of(pair)
+                found.append((Piece("pair", f, int(i), value, gradient, pair.mean), pair))
+        return found
+
+    def _mean_of(self, pair: Pair) -> tuple[float, FloatArray]:
+        """Aim and slope of a pair's mean."""
+        mean, slope = np.array([pair.mean]), pair.mean_slope[None]
+        if self.limits.objective == "damping":
+            return float(damping_factors(mean)[0]), damping_slopes(mean, slope)[0]
+        return -pair.mean.real / self.scale, -pair.mean_slope.real / self.scale
+
+    def pair_near(self, x: FloatArray, family: int, loop: int, place: complex) -> Pair | None:
+        """Find the two eigenvalues of a loop nearest to a place, as a pair."""
+        derivatives = self.families[family].derivatives(x)
+        system = Eigensystem.of(derivatives.A[[loop]])
+        first, second = np.argsort(np.abs(system.values[0] - place))[:2]
+        return pair_of(system, derivatives.dA[loop], 0, int(first), int(second))
+
+    def slopes_at(self, pieces: Sequence[Piece], designs: Sequence[FloatArray]) -> FloatArray:
+        """Slopes of known pieces at designs close by (q, n, d), peaks' at their old frequency.
+
+        NaN where they cannot be told: of two eigenvalues that meet too closely, and of limits from outside.
+        """
+        found = np.full((len(designs), len(pieces), len(self.lower)), np.nan)
+        for f, family in enumerate(self.families):
+            own = [i for i, piece in enumerate(pieces) if piece.family == f]
+            if not own:
+                continue
+            used = np.unique([pieces[i].loop for i in own])
+            parts = [family.derivatives(x).of(used) for x in designs]
+            loops = Derivatives.joined(parts)
+            spectral = any(pieces[i].kind in ("aim", "pole", "pair") for i in own)
+            system = Eigensystem.of(loops.A) if spectral else None
+            for i in own:
+                # the loop of this piece in each design
+                which = np.searchsorted(used, pieces[i].loop) + len(used) * np.arange(len(designs))
+                found[:, i] = self._slopes_of(pieces[i], family, loops, system, which)
+        for i, piece in enumerate(pieces):
+            rows = [row for name, row, _ in self.linear if name == piece.kind]
+            if rows:
+                found[:, i] = rows[0]
+        return found
+
+    def _slopes_of(
+        self,
+        piece: Piece,
+        family: LoopFamily,
+        loops: Derivatives,
+        system: Eigensystem | None,
+        which: npt.NDArray[np.intp],
+    ) -> FloatArray:
+        """Slopes of one piece in the chosen loops (q, d), NaN where they cannot be told."""
+        nothing = np.full((len(which), len(self.lower)), np.nan)
+        if piece.kind in _RESPONSES:
+            peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
+            slopes, values = peak_slopes(loops, rows_of(family, piece.kind), peaks)
+            return np.asarray(slopes / values[:, None])
+        if system is None or piece.kind not in ("aim", "pole", "pair"):
+            return nothing
+        distance = np.abs(system.values[which] - piece.place)
+        if piece.kind == "pair":
+            for row, (loop, nearest) in enumerate(zip(which, np.argsort(distance, axis=1), strict=True)):
+                pair = pair_of(system, loops.dA[loop], int(loop), int(nearest[0]), int(nearest[1]))
+                if pair is not None:
+                    nothing[row] = self._mean_of(pair)[1]
+            return nothing
+        at = distance.argmin(axis=1)
+        slope = system.slopes(which, at, loops.dA)
+        if piece.kind == "aim" and self.limits.objective == "damping":
+            return damping_slopes(system.values[which, at], slope)
+        return np.asarray((slope.real if piece.kind == "pole" else -slope.real) / self.scale)
+
+    def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
+        """How bad a design is in each loop of a family, which need not be one of the problem's (n, m).
+
+        First the aim with a minus, then by how much the slowest pole and each limited response exceed their limits.
+        """
+        loops = family.matrices(x)
+        system = Eigensystem.of(loops.A)
+        rows = [-self.aim(system.values).min(axis=1), (self.slowest + system.values.real).max(axis=1) / self.scale]
+        if self.limits.has_responses and family.n_outputs:
+            for _, peaks, limit in self._peaks(family, loops, system, []):
+                highest = np.zeros(len(family))
+                np.maximum.at(highest, peaks.loop, peaks.value)
+                rows.append(np.log(highest / limit))
+        rows += [extra.excess(family, x) for extra in self.limits.extra]
+        return np.array(rows)
+
+    def _responses(
+        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None
+    ) -> list[tuple[str, int, Peaks, float]]:
+        """Peaks of all limited responses of all families, whose matrices (and eigenvalues) are given."""
+        found: list[tuple[str, int, Peaks, float]] = []
+        if not self.limits.has_responses:
+            return found
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
+            if family.n_outputs:
+                system = Eigensystem.of(loops.A) if systems is None else systems[f]
+                cuts = [cut for cut in self.cuts if cut[1] == f]
+                found += [(kind, f, peaks, limit) for kind, peaks, limit in self._peaks(family, loops, system, cuts)]
+        return found
+
+    def _peaks(
+        self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: list[tuple[str, int, int, float]]
+    ) -> list[tuple[str, Peaks, float]]:
+        """Peaks of all limited responses of one family: kind, peaks, limit."""
+        found = []
+        for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
+            if limit is not None:
+                own = [cut for cut in cuts if cut[0] == kind]
+                extra = (np.array([c[2] for c in own], int), np.array([c[3] for c in own])) if own else None
+                found.append((kind, find_peaks(loops, system, rows_of(family, kind), extra), limit))
+        if self.limits.static_amplification is not None:
+            every, rest = np.arange(len(family)), np.zeros((len(family), 1))
+            response = respond(loops, system, rows_of(family, "static"), every, rest)
+            peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
+            found.append(("static", peaks, self.limits.static_amplification))
+        return found
+
+    def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[Piece]:
+        """Pieces of a limit from outside, with slopes by differences."""
+        family = self.families[f]
+        base = extra.excess(family, x)
+        near = np.flatnonzero(base > -_WINDOW)
+        slope = np.zeros((len(family), len(x)))
+        for i in range(len(x) if len(near) else 0):
+            step = 1e-5 * (self.upper[i] - self.lower[i])
+            step = -step if x[i] + step > self.upper[i] else step
+            moved = x.copy()
+            moved[i] += step
+            slope[:, i] = (extra.excess(family, moved) - base) / step
+        return [Piece(extra.name, f, int(loop), float(base[loop]), slope[loop], 0j) for loop in near]
+
+
+def rows_of(family: LoopFamily, kind: str) -> slice:
+    """Rows of the outputs that belong to a kind of response."""
+    return slice(family.n_outputs, None) if kind == "control" else slice(0, family.n_outputs)

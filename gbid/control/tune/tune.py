@@ -1,0 +1,352 @@
+"""Tuning a controller of fixed structure over the operating points of an LPV model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.controllers.structures import controller_structure
+from gbid.control.impact.half_sine import HalfSine
+from gbid.control.tune.gain_result import GainResult, SearchStep
+from gbid.control.tune.maximise import as_bounds, as_start, solve, summarise, typical_rate
+from gbid.control.tune.search.global_search import Effort, Progress
+from gbid.control.tune.search.limits import Limits, Objective
+from gbid.control.tune.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
+from gbid.control.tune.search.loop_family import FloatArray, LoopEquations, LoopFamily, loop_equations
+from gbid.control.tune.search.problem import Problem
+from gbid.control.tune.search.spectrum import ComplexArray
+from gbid.control.tune.search.sqp import Polished
+from gbid.control.tune.travel import travel_limit
+from gbid.control.tune.uncertainty import Uncertainty
+from gbid.control.tune.verify import distance_to_edge
+from gbid.control.tune.worst_points import add_worst_points
+from gbid.errors import UsageError
+from gbid.lpv import LPVModel
+from gbid.structure.linear import Structure
+
+Point = tuple[float, float]
+_FEW, _MANY = 5, 30
+
+
+def tune(
+    lpv: LPVModel,
+    *,
+    operating_points: Sequence[Point] | Literal["domain"] | None = None,
+    actuator: Mapping[str, float] | None = None,
+    controller: str | Structure | Scheduled = "P",
+    peak_sensitivity: float | None = 2.6,
+    peak_control: float | None = None,
+    static_amplification: float | None = None,
+    slowest_pole: float | None = None,
+    impact: HalfSine | None = None,
+    piezo_travel_m: float = 45e-6,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    uncertainty: Uncertainty | None = None,
+    objective: Objective = "damping",
+    sample_time: float | None = None,
+    computation_s: float | None = None,
+    start: Mapping[str, float] | None = None,
+    starts: int | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> GainResult:
+    r"""Find the gains of a controller that damp an LPV plant best within limits.
+
+    .. math:: \max_g \; \min_{P, \Omega} \min_j \zeta_j(g; P, \Omega) \quad\text{with}\quad
+              \max_\omega \bar\sigma(S_o(j\omega; g; P, \Omega)) \le M
+
+    over the oscillatory modes of the closed loop (Eqs. 20 to 22) at all operating points, and every pole faster than
+    `slowest_pole`.
+
+    Parameters
+    ----------
+    lpv : LPVModel
+    operating_points : sequence of (pressure_bar, speed_rpm), or "domain", optional
+        The model's own when not given. ``"domain"``: the whole rectangle; the worst points are found and added until
+        none is worse by more than 1e-4.
+    actuator : dict of str to float, optional
+        Parameters of Eq. 12 [rad/s, m/m]; the model's own when not given.
+    controller : {"P", "PD", "biquad"}, Structure or Scheduled
+        See `gbid.controller_structure`; default P with a first-order low-pass of 1000 Hz. A low-pass whose corner is a
+        gain as well: ``controller_structure("P", tune_corner=True)``. Gains that follow pressure and speed:
+        `gbid.control.controllers.scheduled`.
+    peak_sensitivity : float, optional
+        Cap M on the peak of the output sensitivity; None maximises damping alone, see Notes.
+    peak_control, static_amplification : float, optional
+        Caps on the peak of K S_o [m/m] and the gain of S_o at rest.
+    slowest_pole : float, optional
+        Every pole, real ones too, decays at least as fast [1/s]. When not given: as fast as the slowest oscillatory
+        mode of the open loop at these points; 0 (stability alone) without a cap on the sensitivity.
+    impact : HalfSine, optional
+        Blow under which no piezo stack may leave its travel, in x and in y, at any operating point.
+    piezo_travel_m : float
+        Whole travel of a stack [m].
+    bounds : dict of str to (lower, upper), optional
+        Bounds of gains, instead of the structure's own.
+    uncertainty : Uncertainty, optional
+        The design must hold for every drawn plant as well.
+    objective : {"damping", "decay"}
+        Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` of all poles [1/s].
+    sample_time : float, optional
+        Design for the loop as it runs: sampled at this time [s]. Holding the references costs half of it, computing
+        them `computation_s`; both enter as one delay, and this and the model's delays as Padé approximations of order
+        3. What comes out as value and peaks is of that loop; the notes say what the truly sampled loop reaches.
+        Without it the loop is the continuous one, which damps more than the one that will run.
+    computation_s : float, optional
+        Time from the sample of p to the change of r [s]; one sample when not given.
+    start : dict of str to float, optional
+        Gains to start from besides.
+    starts, seed
+        As `gbid.maximise_damping`.
+    progress : callable, optional
+        Called with a `gbid.control.SearchStep` after each stage.
+
+    Returns
+    -------
+    GainResult
+        With exact peaks, the limits that hold it back, and notes on how near the edge it lies.
+
+    Raises
+    ------
+    UsageError
+        For a point outside the model's domain, limits or bounds that make no sense, unknown gains.
+
+    Notes
+    -----
+    Damping alone is the wrong aim. Positive feedback lowers the stiffness, and a damping factor does not see the slow
+    real pole that this leads to: the optimum over all points lies at the edge of static instability. Without a cap the
+    result's notes say how near.
+
+    Examples
+    --------
+    >>> import gbid
+    >>> model = gbid.load_model("theisen2016")
+    >>> result = gbid.tune(model, operating_points=[(6, 0)], peak_sensitivity=2.2832)
+    >>> round(result.value, 3)
+    0.318
+    """
+    structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
+    over_domain = isinstance(operating_points, str)
+    points = _points(lpv, operating_points)
+    delay_s = loop_delay(sample_time, computation_s)
+    if delay_s:
+        lpv = replace(lpv, pade_order=PADE_ORDER)
+    equations = loop_equations(lpv, structure, None if actuator is None else dict(actuator), delay_s=delay_s)
+    setup = _Setup(lpv, structure, equations, points, uncertainty)
+    low, high, start_gains = _gain_bounds(structure, bounds)
+    names = tuple(parameter.name for parameter in equations.gains)
+    family = setup.family(points)
+    open_loop = [_slowest_mode(lpv.at(float(P), float(Omega)).poles()) for P, Omega in points]
+    if slowest_pole is None:
+        slowest_pole = 0.0 if peak_sensitivity is None else max(min(open_loop), 0.0)
+    limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
+    if impact is not None:
+        model = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
+        plant = model.plant_at(float(points[0, 0]), float(points[0, 1]))
+        limits = replace(limits, extra=(travel_limit(plant, impact, piezo_travel_m),))
+    problem = Problem((family,), limits, low, high, typical_rate((family,), start_gains))
+    problem.linear = setup.gain_limits(points)
+    unknown = [name for name in start or {} if name not in names]
+    if unknown:
+        raise UsageError(f"start: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+    first = (
+        [] if start is None else [as_start([start.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)]
+    )
+    if isinstance(structure, Scheduled):
+        first.append(
+            _constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed), delay_s)
+        )
+    polished, history = _solve(problem, setup, points, start_gains, Effort(starts, seed), first, progress)
+    verified = f"eigenvalues and exact H-infinity norms of {len(family)} loops"
+    if over_domain:
+        polished, problem, more, verified = add_worst_points(problem, polished, setup, lpv.domain, progress)
+        history += more
+    unstable = [f"{P:g} bar, {Omega:g} rpm" for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
+    notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
+    notes += _edge_notes(problem, polished, names, peak_sensitivity)
+    used = problem.families[0].points
+    assert used is not None
+    if sample_time is not None:
+        machine = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
+        gains = dict(zip(names, map(float, polished.x), strict=True))
+        where = sorted({(float(P), float(Omega)) for P, Omega in used})
+        truly, (P, Omega) = smallest_sampled_damping(machine, structure, gains, where, sample_time, computation_s)
+        notes += (
+            f"designed for sampling at {1e3 * sample_time:g} ms with {1e3 * delay_s:g} ms more delay; the sampled loop "
+            f"itself has a smallest damping factor of {truly:.3f}, at {P:g} bar, {Omega:g} rpm",
+        )
+    return summarise(
+        problem,
+        polished,
+        names,
+        history,
+        verified,
+        notes,
+        points=tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used)),
+        controller=structure,
+        sample_time=sample_time,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Setup:
+    """Makes loops at any operating points, with all plants that they may have there."""
+
+    lpv: LPVModel
+    structure: Structure | Scheduled
+    equations: LoopEquations
+    points: FloatArray
+    uncertainty: Uncertainty | None
+
+    def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
+        """Loops at points, or some of them."""
+        scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
+        labels = [
+            f"{P:g} bar, {Omega:g} rpm" + (f", plant {i // len(points)}" if i >= len(points) else "")
+            for i, (P, Omega) in enumerate(scenarios[:, :2])
+        ]
+        chosen = range(len(scenarios)) if which is None else which
+        return self.equations.family(scenarios[list(chosen)], [labels[i] for i in chosen])
+
+    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
+        """Bounds of scheduled gains at the points, in units of their width, as rows over the coefficients."""
+        if not isinstance(self.structure, Scheduled):
+            return ()
+        names = [parameter.name for parameter in self.structure.parameters]
+        units = np.eye(len(names))
+        rows = []
+        for P, Omega in dict.fromkeys(map(tuple, points)):
+            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
+            for gain in self.structure.base.parameters:
+                row = np.array([float(column[gain.name]) for column in columns])
+                width = gain.upper - gain.lower
+                where = f"{gain.name} at {P:g} bar, {Omega:g} rpm"
+                rows.append((f"upper bound of {where}", row / width, gain.upper / width))
+                rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
+        return tuple(rows)
+
+
+def _solve(
+    problem: Problem,
+    setup: _Setup,
+    points: FloatArray,
+    neutral: FloatArray,
+    effort: Effort,
+    first: list[FloatArray],
+    progress: Progress | None,
+) -> tuple[Polished, tuple[SearchStep, ...]]:
+    """Search over all loops; of many first over those that matter, adding those that turn out worse.
+
+    A design that is best for some of the loops and no worse in the others is best for all. With few gains every
+    round searches globally, so that this holds of the result as well; with many it climbs on from the last.
+    """
+    whole = problem.families
+    few_gains = len(neutral) <= 3
+    if len(whole[0]) <= (_MANY if few_gains else _FEW):
+        return solve(problem, neutral, effort, first, progress)
+    chosen = _corners(points)
+    problem.families = (setup.family(points, chosen),)
+    found, history = solve(problem, neutral, effort, first, progress)
+    while True:
+        measures = problem.by_loop(whole[0], found.x)
+        measures[0] += found.score.value
+        measures[1:] -= found.score.violation
+        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
+        if not worst:
+            break
+        chosen += sorted(worst)
+        problem.families, problem.cuts = (setup.family(points, chosen),), []
+        if few_gains:
+            found, more = solve(problem, neutral, effort, [found.x, *first], progress)
+        else:
+            found, more = solve(problem, neutral, effort, found=found, progress=progress)
+        history += more
+    problem.families, problem.cuts = whole, []
+    found, more = solve(problem, neutral, effort, found=found, progress=progress)
+    return found, history + more
+
+
+def _corners(points: FloatArray) -> list[int]:
+    """Return indices of the points nearest to the corners of the rectangle that they span."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    unit = (points - low) / np.where(high > low, high - low, 1.0)
+    corners = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
+    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in corners))
+
+
+def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:
+    """Return operating points (m, 2), checked against the domain; of a whole domain its corners and middles."""
+    if isinstance(given, str):
+        if given != "domain":
+            raise UsageError(f"operating_points = {given!r}; give a list of (pressure_bar, speed_rpm) or 'domain'")
+        (p0, p1), (w0, w1) = lpv.domain.pressure_bar, lpv.domain.speed_rpm
+        return np.array([(p, w) for p in (p0, (p0 + p1) / 2, p1) for w in (w0, (w0 + w1) / 2, w1)])
+    points = lpv.operating_points if given is None else given
+    try:
+        array = np.array([(float(P), float(Omega)) for P, Omega in points])
+    except (TypeError, ValueError):
+        raise UsageError("operating_points: give a list of (pressure_bar, speed_rpm)") from None
+    if not len(array):
+        raise UsageError(
+            f"model {lpv.name!r} lists no operating points; give operating_points=[(pressure, speed), ...]"
+        )
+    lpv.domain.check(array[:, 0], array[:, 1], f"model {lpv.name!r}")
+    return array
+
+
+def _gain_bounds(
+    structure: Structure | Scheduled, bounds: Mapping[str, tuple[float, float]] | None
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    names = tuple(parameter.name for parameter in structure.parameters)
+    given = dict(bounds or {})
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise UsageError(f"bounds: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+    pairs = [given.get(p.name, (p.lower, p.upper)) for p in structure.parameters]
+    low, high = as_bounds([pair[0] for pair in pairs], [pair[1] for pair in pairs], names)
+    start = np.clip([p.start if p.start is not None else 0.0 for p in structure.parameters], low, high)
+    return low, high, start
+
+
+def _slowest_mode(poles: ComplexArray) -> float:
+    """Slowest decay [1/s] of the oscillatory modes, negative where one grows."""
+    pairs = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles)]
+    return float(-pairs.real.max()) if len(pairs) else 0.0
+
+
+def _constant_gains(
+    lpv: LPVModel,
+    structure: Scheduled,
+    points: FloatArray,
+    limits: Limits,
+    actuator: Mapping[str, float] | None,
+    uncertainty: Uncertainty | None,
+    effort: Effort,
+    delay_s: float,
+) -> FloatArray:
+    """Best constant gains as coefficients: where a schedule starts, so that it is never worse."""
+    equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator), delay_s=delay_s)
+    low, high, start = _gain_bounds(structure.base, None)
+    setup = _Setup(lpv, structure.base, equations, points, uncertainty)
+    family = setup.family(points)
+    problem = Problem((family,), limits, low, high, typical_rate((family,), start))
+    best, _ = _solve(problem, setup, points, start, effort, [], None)
+    values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
+    return np.array(
+        [values.get(p.name.removesuffix("_1"), 0.0) if p.name.endswith("_1") else 0.0 for p in structure.parameters]
+    )
+
+
+def _edge_notes(problem: Problem, found: Polished, names: tuple[str, ...], cap: float | None) -> tuple[str, ...]:
+    """Say how near the edge a design without a cap lies."""
+    if cap is not None or not problem.stable(found.x):
+        return ()
+    edge = distance_to_edge(problem, found.x, names)
+    note = "damping alone was maximised: the peak of S_o is not limited"
+    if np.isfinite(edge.change):
+        note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
+    return (note,)

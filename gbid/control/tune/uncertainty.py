@@ -1,0 +1,87 @@
+"""Plants that the identified one may be: draws from the covariance of an LPV fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.control.tune.search.loop_family import FloatArray
+from gbid.errors import UsageError
+from gbid.lpv import TERMS, basis
+from gbid.structure import KEY_PARAMETERS
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """How far the key parameters may lie from the model's.
+
+    Parameters
+    ----------
+    covariance : (84, 84) array, optional
+        Of the coefficients of Eq. 16: the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) with their six
+        terms (`gbid.lpv.TERMS`) each, in SI per bar and rpm; what an LPV fit gives.
+    samples : (n, 14) array, optional
+        Instead: deviations of the key parameters from the model's, the same at every operating point.
+    draws : int
+        How many plants are drawn from the covariance.
+    seed : int
+
+    Raises
+    ------
+    UsageError
+        When not exactly one of the two is given, its shape is wrong, or the covariance has a negative direction.
+    """
+
+    covariance: npt.ArrayLike | None = None
+    samples: npt.ArrayLike | None = None
+    draws: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        n = len(KEY_PARAMETERS) * len(TERMS)
+        if (self.covariance is None) == (self.samples is None):
+            raise UsageError("uncertainty: give either the covariance of the coefficients or samples")
+        if self.covariance is not None:
+            covariance = np.asarray(self.covariance, float)
+            if covariance.shape != (n, n) or not np.isfinite(covariance).all():
+                raise UsageError(f"uncertainty: covariance has shape {covariance.shape}, expected finite {(n, n)}")
+            if self.draws < 1:
+                raise UsageError(f"uncertainty: draws = {self.draws}; give at least 1")
+        else:
+            samples = np.asarray(self.samples, float)
+            if samples.ndim != 2 or samples.shape[1] != len(KEY_PARAMETERS) or not np.isfinite(samples).all():
+                raise UsageError(
+                    f"uncertainty: samples have shape {samples.shape}, expected finite (n, {len(KEY_PARAMETERS)})"
+                )
+
+    def scenarios(self, points: FloatArray) -> FloatArray:
+        """Every drawn plant at every point (m, 2), the model itself first: (m (1 + n), 16).
+
+        Parameters
+        ----------
+        points : (m, 2) array
+            Pressure [bar] and speed [rpm].
+        """
+        deviations = self._deviations(points)
+        nominal = np.hstack([points, np.zeros((len(points), len(KEY_PARAMETERS)))])
+        drawn = [np.hstack([points, deviation]) for deviation in deviations]
+        return np.vstack([nominal, *drawn])
+
+    def _deviations(self, points: FloatArray) -> list[FloatArray]:
+        """Deviations (m, 14) of each draw."""
+        if self.samples is not None:
+            samples = np.asarray(self.samples, float)
+            return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
+        covariance = np.asarray(self.covariance, float)
+        size = np.sqrt(np.diag(covariance))
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+        if values[0] < -1e-6 * max(values[-1], 1.0):
+            raise UsageError("uncertainty: the covariance has a negative direction; it is no covariance")
+        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(size)))
+        terms = np.stack([term * np.ones(len(points)) for term in basis(points[:, 0], points[:, 1])], axis=1)
+        coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
+        return [terms @ draw.T for draw in coefficients]

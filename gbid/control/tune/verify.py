@@ -1,0 +1,88 @@
+"""Checking a design afterwards: plain eigenvalues, exact norms, and how near the edge it lies."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.control.loop.norm import largest_singular_values, peak_gain
+from gbid.control.tune.gain_result import WorstMode
+from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
+from gbid.control.tune.search.problem import Problem, rows_of
+from gbid.structure import LinearModel
+
+
+class Norm(NamedTuple):
+    """Largest gain over frequency of one loop and its angular frequency [rad/s]."""
+
+    value: float
+    frequency: float
+
+
+def exact_norms(family: LoopFamily, x: FloatArray, kind: str) -> list[Norm]:
+    """H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop, by Hamiltonian matrices."""
+    loops, rows = family.matrices(x), rows_of(family, kind)
+    models = (
+        LinearModel(A, B, C[rows], D[rows]) for A, B, C, D in zip(loops.A, loops.B, loops.C, loops.D, strict=True)
+    )
+    found = (peak_gain(model) for model in models)
+    return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in found]
+
+
+def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
+    """Largest gain of S_o at rest of every loop, (m,)."""
+    loops, rows = family.matrices(x), rows_of(family, "static")
+    response = loops.C[:, rows] @ np.linalg.solve(-loops.A, loops.B) + loops.D[:, rows]
+    return np.asarray(largest_singular_values(response.astype(complex)))
+
+
+def worst_mode(problem: Problem, x: FloatArray) -> WorstMode:
+    """Find the mode that holds a design back: a pole that grows before the smallest damping or slowest decay."""
+    worst: tuple[float, str, complex] | None = None
+    for family in problem.families:
+        values = np.linalg.eigvals(family.states(x)).astype(complex)
+        # a pole that grows is worse than any that does not
+        rank = np.where(values.real > 0, -2.0 - values.real / problem.scale, problem.aim(values))
+        i, j = np.unravel_index(rank.argmin(), rank.shape)
+        if worst is None or rank[i, j] < worst[0]:
+            worst = (float(rank[i, j]), family.labels[i], complex(values[i, j]))
+    assert worst is not None
+    _, where, value = worst
+    return WorstMode(where, abs(value) / (2 * np.pi), -value.real / abs(value) if value else 0.0)
+
+
+@dataclass(frozen=True)
+class Edge:
+    """The smallest change of a single gain that makes a loop unstable; infinite where none within the bounds' width."""
+
+    gain: str
+    change: float
+
+
+def distance_to_edge(problem: Problem, x: FloatArray, names: tuple[str, ...]) -> Edge:
+    """Move each gain alone, either way, until a loop is unstable; to 1 % of the distance."""
+    nearest = Edge("", np.inf)
+    for i, name in enumerate(names):
+        width = problem.upper[i] - problem.lower[i]
+        for sign in (1.0, -1.0):
+
+            def stable(change: float, i: int = i, sign: float = sign) -> bool:
+                moved = x.copy()
+                moved[i] += sign * change
+                return problem.stable(moved)
+
+            last = 0.0
+            for change in width * np.geomspace(1e-7, 1.0, 22):
+                if change >= abs(nearest.change):
+                    break
+                if not stable(change):
+                    low, high = last, float(change)
+                    while high - low > 0.01 * high:
+                        middle = (low + high) / 2
+                        low, high = (middle, high) if stable(middle) else (low, middle)
+                    nearest = Edge(name, sign * high)
+                    break
+                last = float(change)
+    return nearest

@@ -1,0 +1,125 @@
+"""Designs over a whole operating rectangle: the worst points are found and added until none is worse."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from gbid.control.tune.gain_result import SearchStep
+from gbid.control.tune.maximise import solve
+from gbid.control.tune.search.global_search import Effort, Progress
+from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
+from gbid.control.tune.search.problem import Problem
+from gbid.control.tune.search.sqp import Polished
+from gbid.lpv import Domain
+
+TOLERANCE = 5e-5
+_GRID = 33
+_MOST_ROUNDS = 20
+
+
+class Setup(Protocol):
+    """Makes loops and limits of gains at any operating points."""
+
+    def family(self, points: FloatArray) -> LoopFamily: ...  # noqa: D102
+    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]: ...  # noqa: D102
+
+
+def add_worst_points(
+    problem: Problem, found: Polished, setup: Setup, domain: Domain, progress: Progress | None
+) -> tuple[Polished, Problem, tuple[SearchStep, ...], str]:
+    """Exchange: look for points worse than those designed for, add them, climb on.
+
+    Parameters
+    ----------
+    problem : Problem
+        Over the first points.
+    found : Polished
+        Its optimum.
+    setup : Setup
+    domain : Domain
+    progress : callable, optional
+
+    Returns
+    -------
+    Polished
+    Problem
+        Over all points in the end.
+    tuple of SearchStep
+    str
+        What was verified.
+    """
+    points = problem.families[0].points
+    assert points is not None
+    points = np.unique(points, axis=0)
+    history: list[SearchStep] = []
+    for _ in range(_MOST_ROUNDS):
+        worse = _worse_points(problem, found, setup, domain)
+        if not len(worse):
+            break
+        points = np.vstack([points, worse])
+        problem.families = (setup.family(points),)
+        problem.linear = setup.gain_limits(points)
+        problem.cuts.clear()
+        evaluated = problem.evaluations
+        found, _ = solve(problem, found.x, Effort(), found=found)
+        assert problem.evaluations > evaluated
+        score = found.score
+        history.append(SearchStep("points", problem.evaluations, problem.in_units(score.value), score.violation))
+        if progress is not None:
+            progress(history[-1])
+    else:
+        found = Polished(found.x, found.score, found.iterations, False)
+    text = (
+        f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops; no point of the rectangle worse "
+        f"by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
+    )
+    return found, problem, tuple(history), text
+
+
+def _worse_points(problem: Problem, found: Polished, setup: Setup, domain: Domain) -> FloatArray:
+    """Points that are worse than the design is at its own, each refined to the worst nearby: (k, 2)."""
+    axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
+    tables = measure(problem, found.x, setup, grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
+    worse: list[FloatArray] = []
+    for which, table in enumerate(tables):
+        allowed = -found.score.value if which == 0 else max(found.score.violation, 0.0)
+        padded = np.pad(table, 1, constant_values=-np.inf)
+        top = table > allowed - 0.02
+        for a, b in np.ndindex(3, 3):
+            top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
+        places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
+        for place in places:
+            point, value = _zoom(problem, found.x, setup, grid[place], step, domain, which)
+            if value > allowed + TOLERANCE:
+                worse.append(point)
+    return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
+
+
+def measure(problem: Problem, x: FloatArray, setup: Setup, points: FloatArray) -> FloatArray:
+    """How bad a design is at each point, over all plants there: aim with a minus, then each limit (n, m)."""
+    parts = []
+    for block in np.array_split(points, max(1, len(points) // 128)):
+        values = problem.by_loop(setup.family(block), x)
+        parts.append(values.reshape(len(values), -1, len(block)).max(axis=1))
+    return np.concatenate(parts, axis=1)
+
+
+def _zoom(
+    problem: Problem, x: FloatArray, setup: Setup, point: FloatArray, step: FloatArray, domain: Domain, which: int
+) -> tuple[FloatArray, float]:
+    """Largest value of one measure near a point, by grids that shrink around the best."""
+    low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])
+    high = np.array([domain.pressure_bar[1], domain.speed_rpm[1]])
+    offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    value = -np.inf
+    for _ in range(5):
+        points = np.clip(point + offsets * step, low, high)
+        values = measure(problem, x, setup, points)[which]
+        if values.max() > value:
+            point, value = points[values.argmax()], float(values.max())
+        step = step / 3
+    return point, value

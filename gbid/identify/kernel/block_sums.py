@@ -1,0 +1,103 @@
+"""What a pass over the samples gives per block, and what runs it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.predictor import PredictorValues
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class BlockSums(NamedTuple):
+    """What a pass gives: sums over all blocks, then values of each of the W blocks, padding included.
+
+    Attributes
+    ----------
+    hessian : (n_p, n_p) array
+    products : (n_y, n_y) array
+    gradient : (W, n_p) array
+    gradient_start : (W, n) array
+    mixed : (W, n_p, n) array
+    end : (W, n) array
+    end_theta : (W, n, n_p) array
+    """
+
+    hessian: FloatArray
+    products: FloatArray
+    gradient: FloatArray
+    gradient_start: FloatArray
+    mixed: FloatArray
+    end: FloatArray
+    end_theta: FloatArray
+
+
+class Prediction(NamedTuple):
+    """States and errors of all blocks.
+
+    Attributes
+    ----------
+    states : (n_groups, length, n, lanes) array
+    errors : (n_groups, length, n_y, lanes) array
+        ``y - yhat``, zero where samples do not count.
+    end : (n, W) array
+        State after the whole length of each block, padding included.
+    """
+
+    states: FloatArray
+    errors: FloatArray
+    end: FloatArray
+
+
+class Engine(Protocol):
+    """Something that runs the recursion over all blocks."""
+
+    def __call__(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
+    ) -> BlockSums:
+        """Run it.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        starts : (W, n) array
+            Start state of each block, padding included.
+        root : (n_y, n_y) array
+            Upper triangular, ``root' root`` the weight.
+        free : (length, n_y, n) array
+            Weighted response to the start, ``root C F^k``.
+        """
+        ...
+
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Run the state alone, from starts (n, W)."""
+        ...
+
+    def adjoint(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Run the adjoint backwards: ``a[k] = F' a[k+1] - C' w[k]``.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        weighted : (n_groups, length, n_y, lanes) array
+            Weighted errors ``w``.
+        states : (n_groups, length, n, lanes) array
+        last : (n, W) array
+            The adjoint at the end of each block.
+
+        Returns
+        -------
+        (n, W) array
+            The adjoint at the start of each block.
+        (n + n_y, n + n_z) array
+            Derivative of the cost by the entries of ``[F G; C H]``.
+        """
+        ...

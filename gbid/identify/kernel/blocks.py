@@ -1,0 +1,216 @@
+"""Records cut into shooting windows, and these into equal blocks that run side by side."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.data import FitData
+from gbid.identify.predictor import Predictor
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+LONGEST_BLOCK = 512  # samples; a longer shooting window is made of several blocks, see gbid.identify.kernel.sweep
+LANES = 8  # blocks side by side in one vector register of the widest kind
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A stretch of one record that runs through without interruption.
+
+    Attributes
+    ----------
+    inputs : (n_samples, n_inputs) array
+        Of the whole record: late and following inputs reach beyond the stretch.
+    outputs : (n_samples, n_outputs) array
+    counts : (n_samples,) array or None
+        1 for samples that enter the cost, 0 for those left out; None when all do.
+    start, stop : int
+        The stretch; to the end of the record when `stop` is None.
+    """
+
+    inputs: FloatArray
+    outputs: FloatArray
+    counts: FloatArray | None = None
+    start: int = 0
+    stop: int | None = None
+
+    def part(self, rows: FloatArray) -> FloatArray:
+        """Cut rows of the record down to the stretch."""
+        return rows[self.start : self.stop]
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Pieces in blocks of equal length, `lanes` blocks to a group; what is short is padded.
+
+    Attributes
+    ----------
+    y : (n_groups, length, n_outputs, lanes) array
+        Outputs to be predicted.
+    used : (n_groups, length, lanes) array
+        1 for a sample that enters the cost, 0 for one left out and for padding.
+    size : (n_groups * lanes,) integer array
+        Samples in each block; `length` but for the last of a piece, 0 for padding.
+    per_window : int
+        Blocks in a shooting window; the last window of a piece may have fewer.
+    window_first, window_size : (n_windows,) integer array
+        First block and number of blocks of each window.
+    piece_first : (n_pieces,) integer array
+        First window of each piece.
+    n_samples : int
+        Samples that enter the cost.
+    predictor : Predictor
+        That the blocks were cut for.
+    pieces : tuple of Piece
+        That were cut.
+    """
+
+    y: FloatArray
+    used: FloatArray
+    size: IntArray
+    per_window: int
+    window_first: IntArray
+    window_size: IntArray
+    piece_first: IntArray
+    n_samples: int
+    predictor: Predictor
+    pieces: tuple[Piece, ...]
+    _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
+
+    @property
+    def length(self) -> int:
+        """Samples in a block."""
+        return int(self.y.shape[1])
+
+    @property
+    def lanes(self) -> int:
+        """Blocks in a group."""
+        return int(self.y.shape[3])
+
+    @property
+    def n_windows(self) -> int:
+        """Number of shooting windows."""
+        return len(self.window_first)
+
+    @property
+    def n_blocks(self) -> int:
+        """Number of blocks, padding not counted."""
+        return int(self.window_size.sum())
+
+    @cached_property
+    def by_window(self) -> tuple[IntArray, BoolArray]:
+        """Blocks of each window in order, (n_windows, per_window), and which of these are its own."""
+        place = np.arange(self.per_window)
+        return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
+
+    @property
+    def linked(self) -> IntArray:
+        """Windows whose end must meet the start of the next in the same piece, shape (n_links,)."""
+        last = np.append(self.piece_first[1:], self.n_windows) - 1
+        return np.setdiff1d(np.arange(self.n_windows), last)
+
+    def z(self, shift: tuple[int, ...]) -> FloatArray:
+        """Regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
+        if shift not in self._regressors:
+            if len(self._regressors) > 3:
+                self._regressors.clear()
+            parts = [p.part(self.predictor.regressors(p.inputs, p.outputs, shift)) for p in self.pieces]
+            self._regressors[shift] = _in_groups(parts, self.length, self.lanes)
+        return self._regressors[shift]
+
+    def by_piece(self, values: FloatArray) -> list[FloatArray]:
+        """Put values in blocks, (n_groups, length, n, lanes), back into one (n_samples, n) array per piece."""
+        rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
+        result = []
+        first_blocks = self.window_first[self.piece_first]
+        for i, first in enumerate(first_blocks):
+            last = first_blocks[i + 1] if i + 1 < len(first_blocks) else self.n_blocks
+            joined = rows[first:last].reshape(-1, values.shape[2])
+            result.append(joined[: int(self.size[first:last].sum())])
+        return result
+
+
+def cut(
+    data: FitData | Sequence[Piece],
+    predictor: Predictor,
+    window: int | None,
+    *,
+    longest_block: int = LONGEST_BLOCK,
+    lanes: int = LANES,
+) -> Blocks:
+    """Cut pieces of records into shooting windows and these into blocks.
+
+    Parameters
+    ----------
+    data : FitData or sequence of Piece
+    predictor : Predictor
+        Says what the regressors are.
+    window : int or None
+        Samples in a shooting window; None takes each piece as one window. A window longer than a block is
+        rounded up to whole blocks.
+    longest_block : int
+        Most samples in a block.
+    lanes : int
+        Blocks in a group.
+
+    Returns
+    -------
+    Blocks
+    """
+    if isinstance(data, FitData):
+        data = [Piece(record.inputs, record.outputs) for record in data.records]
+    pieces = tuple(data)
+    targets = [piece.part(predictor.targets(piece.outputs)) for piece in pieces]
+    longest = max(len(target) for target in targets)
+    window = longest if window is None else min(window, longest)
+    per_window = -(-window // longest_block)
+    length = -(-window // per_window)
+    counts = [
+        np.ones((len(target), 1)) if piece.counts is None else piece.part(predictor.targets(piece.counts[:, None]))
+        for piece, target in zip(pieces, targets, strict=True)
+    ]
+    first: list[int] = []
+    size: list[int] = []
+    piece_first: list[int] = []
+    block_size: list[int] = []
+    for target in targets:
+        n = len(target)
+        count = -(-n // length)
+        starts = np.arange(0, count, per_window)
+        piece_first.append(len(first))
+        first += (len(block_size) + starts).tolist()
+        size += np.minimum(per_window, count - starts).tolist()
+        block_size += [length] * (count - 1) + [n - (count - 1) * length]
+    y = _in_groups(targets, length, lanes)
+    block_size += [0] * (y.shape[0] * lanes - len(block_size))
+    return Blocks(
+        y,
+        np.ascontiguousarray(_in_groups(counts, length, lanes)[:, :, 0]),
+        np.array(block_size),
+        per_window,
+        np.array(first),
+        np.array(size),
+        np.array(piece_first),
+        int(sum(count.sum() for count in counts)),
+        predictor,
+        pieces,
+    )
+
+
+def _in_groups(parts: Sequence[FloatArray], length: int, lanes: int) -> FloatArray:
+    """Cut (n_samples, n) arrays into blocks and put these into groups: (n_groups, length, n, lanes)."""
+    n = parts[0].shape[1]
+    counts = [-(-len(part) // length) for part in parts]
+    n_groups = -(-sum(counts) // lanes)
+    padded = np.zeros((n_groups * lanes, length, n))
+    block = 0
+    for part, count in zip(parts, counts, strict=True):
+        padded[block : block + count].reshape(-1, n)[: len(part)] = part
+        block += count
+    return np.ascontiguousarray(padded.reshape(n_groups, lanes, length, n).transpose(0, 2, 3, 1))

@@ -1,0 +1,177 @@
+"""Which engine runs the pass: the compiled kernel, or numpy where there is no compiler."""
+
+from __future__ import annotations
+
+import ctypes
+from functools import lru_cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.compiling import CompilerMissingError, load_library
+from gbid.errors import UsageError
+from gbid.identify.kernel.block_sums import BlockSums, Engine, Prediction
+from gbid.identify.kernel.blocks import LANES, Blocks
+from gbid.identify.kernel.numpy_pass import run_with_numpy
+from gbid.identify.kernel.source import KernelPattern, kernel_source
+from gbid.identify.predictor import PredictorValues
+
+FloatArray = npt.NDArray[np.float64]
+EngineName = Literal["auto", "compiled", "numpy"]
+
+
+class ChosenEngine(NamedTuple):
+    """An engine and a word on it.
+
+    Attributes
+    ----------
+    run : Engine
+    name : str
+        ``"compiled"`` or ``"numpy"``.
+    note : str
+        Why it is not the compiled one, when that was wanted; else empty.
+    """
+
+    run: Engine
+    name: str
+    note: str
+
+
+def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenEngine:
+    """Choose an engine for predictors of one size.
+
+    Parameters
+    ----------
+    wanted : {"auto", "compiled", "numpy"}
+        ``"auto"`` takes the compiled kernel where a C compiler is at hand and says so where not.
+    samples : list of PredictorValues
+        The predictor at some parameter values, to see which entries are zero for good.
+
+    Returns
+    -------
+    ChosenEngine
+
+    Raises
+    ------
+    UsageError
+        When the compiled kernel is insisted on and there is no compiler.
+    """
+    if wanted not in ("auto", "compiled", "numpy"):
+        raise UsageError(f"engine = {wanted!r}; choose 'auto', 'compiled' or 'numpy'")
+    if wanted == "numpy":
+        return ChosenEngine(run_with_numpy, "numpy", "")
+    try:
+        return ChosenEngine(CompiledEngine(samples), "compiled", "")
+    except CompilerMissingError as missing:
+        if wanted == "compiled":
+            raise UsageError(f"engine = 'compiled': {missing}") from None
+        return ChosenEngine(run_with_numpy, "numpy", f"{missing}: the slower numpy pass was used")
+
+
+class CompiledEngine:
+    """The pass as compiled C, built for the nonzeros that it has met; an `Engine`.
+
+    Parameters
+    ----------
+    samples : list of PredictorValues
+    """
+
+    def __init__(self, samples: list[PredictorValues]) -> None:
+        pattern = pattern_of(samples[0])
+        for sample in samples[1:]:
+            pattern = pattern.union(pattern_of(sample))
+        self._build(pattern)
+
+    def _build(self, pattern: KernelPattern) -> None:
+        self._pattern = pattern
+        arrays = tuple((array.shape, array.tobytes()) for array in pattern.arrays())
+        library = load_library(_source(arrays))
+        self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
+        self._pass.restype = self._predict.restype = self._adjoint.restype = None
+
+    def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
+        """Make the kernel anew where the predictor has met other nonzeros; return the regressors."""
+        met = pattern_of(v)
+        if not self._pattern.covers(met):
+            self._build(self._pattern.union(met))
+        if blocks.lanes != LANES:
+            raise UsageError(f"the compiled pass wants {LANES} blocks in a group, not {blocks.lanes}")
+        return blocks.z(v.shift)
+
+    def __call__(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
+    ) -> BlockSums:
+        """Run the pass; see `Engine`."""
+        z = self._fit_for(v, blocks)
+        n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
+        n_groups, length, _, lanes = z.shape
+        by_group = np.ascontiguousarray(starts.reshape(n_groups, lanes, n).transpose(0, 2, 1))
+        hessian, products = np.empty((n_p, n_p)), np.empty((n_y, n_y))
+        gradient = np.empty((n_groups, n_p, lanes))
+        gradient_start, end = np.empty((n_groups, n, lanes)), np.empty((n_groups, n, lanes))
+        mixed, end_theta = np.empty((n_groups, n_p, n, lanes)), np.zeros((n_groups, n_p, n, lanes))
+        size = np.ascontiguousarray(blocks.size, np.int64)
+        arrays = [*(np.ascontiguousarray(a) for a in v[:8]), root, free, z, blocks.y, blocks.used, size, by_group]
+        results = [hessian, products, gradient, gradient_start, mixed, end, end_theta]
+        self._pass(ctypes.c_long(n_groups), ctypes.c_long(length), *(_pointer(a) for a in arrays + results))
+        return BlockSums(
+            hessian,
+            products,
+            _per_block(gradient),
+            _per_block(gradient_start),
+            _per_block(mixed),
+            _per_block(end),
+            _per_block(end_theta).transpose(0, 2, 1),
+        )
+
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Run the state alone; see `Engine`."""
+        z = self._fit_for(v, blocks)
+        n_groups, length, _, lanes = z.shape
+        n = len(v.F)
+        states, errors = np.empty((n_groups, length, n, lanes)), np.empty_like(blocks.y)
+        end = np.empty((n_groups, n, lanes))
+        arrays = [*(np.ascontiguousarray(a) for a in v[:4]), z, blocks.y, blocks.used, _by_group(starts)]
+        pointers = (_pointer(a) for a in [*arrays, states, errors, end])
+        self._predict(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
+
+    def adjoint(
+        self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Run the adjoint backwards; see `Engine`."""
+        z = self._fit_for(v, blocks)
+        n_groups, length, n_z, lanes = z.shape
+        n, n_y = len(v.F), len(v.C)
+        first, sums = np.empty((n_groups, n, lanes)), np.empty((n + n_y, n + n_z))
+        size = np.ascontiguousarray(blocks.size, np.int64)
+        arrays = [np.ascontiguousarray(a) for a in (v.F, v.C, weighted, states)] + [z, size, _by_group(last)]
+        pointers = (_pointer(a) for a in [*arrays, first, sums])
+        self._adjoint(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return first.transpose(1, 0, 2).reshape(n, -1), sums
+
+
+@lru_cache(maxsize=32)
+def _source(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> str:
+    """Source for a pattern given as shapes and bytes: written once in a process."""
+    return kernel_source(KernelPattern(*(np.frombuffer(data, np.bool_).reshape(shape) for shape, data in arrays)))
+
+
+def pattern_of(v: PredictorValues) -> KernelPattern:
+    """Entries that differ from zero at one parameter value."""
+    return KernelPattern(*(array != 0 for array in v[:8]))
+
+
+def _by_group(values: FloatArray) -> FloatArray:
+    """(n, W) to (n_groups, n, lanes)."""
+    return np.ascontiguousarray(values.reshape(len(values), -1, LANES).transpose(1, 0, 2))
+
+
+def _per_block(values: FloatArray) -> FloatArray:
+    """(n_groups, ..., lanes) to (W, ...)."""
+    return np.ascontiguousarray(np.moveaxis(values, -1, 1)).reshape(-1, *values.shape[1:-1])
+
+
+def _pointer(array: npt.NDArray[np.generic]) -> ctypes.c_void_p:
+    return ctypes.c_void_p(array.ctypes.data)

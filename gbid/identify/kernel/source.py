@@ -1,0 +1,317 @@
+"""C source of the pass over the samples, for one size and one pattern of nonzeros.
+
+Eight blocks run side by side in the lanes of a vector type. The recursion of states and sensitivities is
+written out entry by entry, zeros left out; the sums over the samples are small matrix products on a buffer of
+a few steps, so that their accumulators stay in registers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+BoolArray = npt.NDArray[np.bool_]
+_BUFFER_BYTES = 96 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+_TILE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class KernelPattern:
+    """Which entries of the predictor's matrices may differ from zero.
+
+    Attributes
+    ----------
+    F : (n, n), G : (n, n_z), C : (n_y, n), H : (n_y, n_z) boolean arrays
+    dF, dG, dC, dH : the same behind a first axis of parameters
+    """
+
+    F: BoolArray
+    G: BoolArray
+    C: BoolArray
+    H: BoolArray
+    dF: BoolArray
+    dG: BoolArray
+    dC: BoolArray
+    dH: BoolArray
+
+    def covers(self, other: KernelPattern) -> bool:
+        """Whether every entry of another pattern is one of this."""
+        return all(not (theirs & ~mine).any() for mine, theirs in zip(self.arrays(), other.arrays(), strict=True))
+
+    def union(self, other: KernelPattern) -> KernelPattern:
+        """Entries of either."""
+        return KernelPattern(*(mine | theirs for mine, theirs in zip(self.arrays(), other.arrays(), strict=True)))
+
+    def arrays(self) -> tuple[BoolArray, ...]:
+        """Return the patterns in order."""
+        return (self.F, self.G, self.C, self.H, self.dF, self.dG, self.dC, self.dH)
+
+
+def kernel_source(pattern: KernelPattern) -> str:
+    """Write the C source of ``gbid_pass`` for a pattern.
+
+    Parameters
+    ----------
+    pattern : KernelPattern
+
+    Returns
+    -------
+    str
+        One translation unit without includes.
+    """
+    n, n_z = pattern.G.shape
+    n_y, n_p = pattern.C.shape[0], len(pattern.dF)
+    padded = -(-n_p // _TILE) * _TILE
+    steps = max(4, _BUFFER_BYTES // (padded * n_y * 64))
+    step = [*_outputs(pattern), *_state(pattern)]
+    for i in range(n_p):
+        step += _sensitivity(pattern, i)
+    return _TEMPLATE.format(
+        N=n,
+        NZ=n_z,
+        NY=n_y,
+        NP=n_p,
+        NPP=padded,
+        STEPS=steps,
+        TILE=_TILE,
+        STEP="\n".join("      " + line for line in step),
+        PREDICT="\n".join("      " + line for line in [*_errors(pattern), *_state(pattern)]),
+        BACK="\n".join("      " + line for line in _adjoint(pattern)),
+    )
+
+
+def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
+    """Products of a row's nonzeros with a vector: ``coefficient[offset + j] * vector[j]``."""
+    return [f"{coefficient}[{offset + j}]*{vector}[{j}]" for j in np.flatnonzero(row)]
+
+
+def _sum(terms: list[str]) -> str:
+    return " + ".join(terms) if terms else "zero"
+
+
+def _errors(p: KernelPattern) -> list[str]:
+    """Error of every output."""
+    n_y, n = p.C.shape
+    n_z = p.G.shape[1]
+    lines = []
+    for j in range(n_y):
+        terms = _terms(p.C[j], "C", j * n, "x") + _terms(p.H[j], "H", j * n_z, "z")
+        lines.append(f"e[{j}] = (y[{j}] - ({_sum(terms)})) * m;")
+    return lines
+
+
+def _outputs(p: KernelPattern) -> list[str]:
+    """Error of every output and its weighted value."""
+    n_y = len(p.C)
+    lines = _errors(p)
+    for a in range(n_y):
+        lines.append(f"E[t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*e[{j}]' for j in range(a, n_y)])};")
+    lines += [f"ee[{a * n_y + b}] += e[{a}]*e[{b}];" for a in range(n_y) for b in range(a, n_y)]
+    return lines
+
+
+def _state(p: KernelPattern) -> list[str]:
+    n, n_z = p.G.shape
+    return [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
+
+
+def _adjoint(p: KernelPattern) -> list[str]:
+    """Step of the adjoint from the state after a sample to the state at it."""
+    n = len(p.F)
+    lines = []
+    for c in range(n):
+        back = [f"F[{r * n + c}]*a[{r}]" for r in np.flatnonzero(p.F[:, c])]
+        out = [f"C[{j * n + c}]*w[{j}]" for j in np.flatnonzero(p.C[:, c])]
+        lines.append(f"na[{c}] = {_sum(back)} - ({_sum(out)});")
+    return lines
+
+
+def _sensitivity(p: KernelPattern, i: int) -> list[str]:
+    """Step of one parameter's sensitivity: outputs into the buffer, then the state."""
+    n, n_z = p.G.shape
+    n_y = len(p.C)
+    lines = ["{", f"v *restrict s = S + {i * n};"]
+    for j in range(n_y):
+        terms = _terms(p.C[j], "C", j * n, "s")
+        terms += _terms(p.dC[i, j], "dC", (i * n_y + j) * n, "x") + _terms(p.dH[i, j], "dH", (i * n_y + j) * n_z, "z")
+        lines.append(f"v q{j} = ({_sum(terms)}) * m;")
+    for a in range(n_y):
+        lines.append(f"P[{i}*BUF + t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*q{j}' for j in range(a, n_y)])};")
+    for r in range(n):
+        terms = _terms(p.F[r], "F", r * n, "s")
+        terms += _terms(p.dF[i, r], "dF", (i * n + r) * n, "x") + _terms(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
+        lines.append(f"v s{r} = {_sum(terms)};")
+    lines += [f"s[{r}] = s{r};" for r in range(n)]
+    lines.append("}")
+    return lines
+
+
+_TEMPLATE = """\
+/* Written by gbid for one model structure: see gbid/identify/kernel/source.py. */
+typedef double v __attribute__((vector_size(64)));
+typedef double u __attribute__((vector_size(64), aligned(8)));
+#define N {N}
+#define NZ {NZ}
+#define NY {NY}
+#define NP {NP}
+#define NPP {NPP}
+#define BUF ({STEPS}*NY)
+#define TILE {TILE}
+
+static inline double total(v a) {{
+  double s = 0;
+  for (int l = 0; l < 8; l++) s += a[l];
+  return s;
+}}
+
+/* Sums over the samples of one buffer. */
+static void add_up(int rows, const v *restrict P, const v *restrict E, const double *restrict T,
+                   v *restrict H, v *restrict g, v *restrict M, v *restrict gx) {{
+  for (int i = 0; i < NPP; i += TILE)
+    for (int j = i; j < NPP; j += TILE) {{
+      v a[TILE][TILE];
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) a[p][q] = H[(i + p)*NPP + j + q];
+      for (int t = 0; t < rows; t++) {{
+        v l[TILE], r[TILE];
+        for (int p = 0; p < TILE; p++) l[p] = P[(i + p)*BUF + t];
+        for (int q = 0; q < TILE; q++) r[q] = P[(j + q)*BUF + t];
+        for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) a[p][q] += l[p]*r[q];
+      }}
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) H[(i + p)*NPP + j + q] = a[p][q];
+    }}
+  for (int i = 0; i < NP; i++) {{
+    v a[N], b = g[i];
+    for (int c = 0; c < N; c++) a[c] = M[i*N + c];
+    for (int t = 0; t < rows; t++) {{
+      const v p = P[i*BUF + t];
+      b += p*E[t];
+      for (int c = 0; c < N; c++) a[c] += p*T[t*N + c];
+    }}
+    g[i] = b;
+    for (int c = 0; c < N; c++) M[i*N + c] = a[c];
+  }}
+  for (int t = 0; t < rows; t++)
+    for (int c = 0; c < N; c++) gx[c] += E[t]*T[t*N + c];
+}}
+
+/* Arrays as documented for BlockSums, the eight blocks of a group innermost. */
+void gbid_pass(long groups, long length,
+               const double *restrict F, const double *restrict G, const double *restrict C, const double *restrict H,
+               const double *restrict dF, const double *restrict dG, const double *restrict dC,
+               const double *restrict dH, const double *restrict R, const double *restrict T,
+               const double *restrict zs, const double *restrict ys, const double *restrict used,
+               const long long *restrict size, const double *restrict starts,
+               double *restrict hessian, double *restrict products,
+               double *restrict gradient, double *restrict gradient_start, double *restrict mixed, double *restrict end,
+               double *restrict end_theta) {{
+  const v zero = {{0}};
+  static __thread v P[NPP*BUF], E[BUF], hs[NPP*NPP], S[NP*N];
+  v ee[NY*NY];
+  (void)G; (void)H; (void)dG; (void)dC; (void)dH;
+  for (int i = 0; i < NPP*BUF; i++) P[i] = zero;
+  for (int i = 0; i < NPP*NPP; i++) hs[i] = zero;
+  for (int i = 0; i < NY*NY; i++) ee[i] = zero;
+  for (long b = 0; b < groups; b++) {{
+    v x[N], nx[N], e[NY], M[NP*N], gx[N], g[NP];
+    for (int i = 0; i < NP; i++) g[i] = zero;
+    const long long *count = size + 8*b;
+    int ragged = 0;
+    for (int l = 0; l < 8; l++) ragged |= count[l] != length;
+    for (int c = 0; c < N; c++) {{ x[c] = *(const u *)(starts + (b*N + c)*8); gx[c] = zero; }}
+    for (int i = 0; i < NP*N; i++) S[i] = M[i] = zero;
+    double *restrict end_b = end + b*N*8, *restrict end_theta_b = end_theta + b*NP*N*8;
+    if (ragged)
+      for (int c = 0; c < N; c++) *(u *)(end_b + c*8) = x[c];
+    int t = 0;
+    for (long k = 0; k < length; k++) {{
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *y = (const u *)(ys + (b*length + k)*NY*8);
+      const v m = *(const u *)(used + (b*length + k)*8);
+{STEP}
+      for (int c = 0; c < N; c++) x[c] = nx[c];
+      if (ragged)
+        for (int l = 0; l < 8; l++)
+          if (count[l] == k + 1) {{
+            for (int c = 0; c < N; c++) end_b[c*8 + l] = x[c][l];
+            for (int i = 0; i < NP*N; i++) end_theta_b[i*8 + l] = S[i][l];
+          }}
+      if (++t == BUF/NY || k + 1 == length) {{
+        add_up(t*NY, P, E, T + (k + 1 - t)*NY*N, hs, g, M, gx);
+        t = 0;
+      }}
+    }}
+    if (!ragged) {{
+      for (int c = 0; c < N; c++) *(u *)(end_b + c*8) = x[c];
+      for (int i = 0; i < NP*N; i++) *(u *)(end_theta_b + i*8) = S[i];
+    }}
+    for (int i = 0; i < NP*N; i++) *(u *)(mixed + (b*NP*N + i)*8) = M[i];
+    for (int i = 0; i < NP; i++) *(u *)(gradient + (b*NP + i)*8) = -g[i];
+    for (int c = 0; c < N; c++) *(u *)(gradient_start + (b*N + c)*8) = -gx[c];
+  }}
+  for (int i = 0; i < NP; i++)
+    for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(hs[i*NPP + j]);
+  for (int a = 0; a < NY; a++)
+    for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
+}}
+
+/* States and errors alone, from given starts. */
+void gbid_predict(long groups, long length,
+                  const double *restrict F, const double *restrict G, const double *restrict C,
+                  const double *restrict H, const double *restrict zs, const double *restrict ys,
+                  const double *restrict used, const double *restrict starts,
+                  double *restrict states, double *restrict errors, double *restrict end) {{
+  const v zero = {{0}};
+  (void)G; (void)H;
+  for (long b = 0; b < groups; b++) {{
+    v x[N], nx[N], e[NY];
+    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (long k = 0; k < length; k++) {{
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *y = (const u *)(ys + (b*length + k)*NY*8);
+      const v m = *(const u *)(used + (b*length + k)*8);
+{PREDICT}
+      for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
+      for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      for (int c = 0; c < N; c++) x[c] = nx[c];
+    }}
+    for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+  }}
+}}
+
+/* Adjoint of the cost, backwards from its value at the end of each block; and sums of its products with states and
+   regressors, rows those of F and G, then those of C and H. */
+void gbid_adjoint(long groups, long length, const double *restrict F, const double *restrict C,
+                  const double *restrict weighted, const double *restrict states, const double *restrict zs,
+                  const long long *restrict size, const double *restrict last,
+                  double *restrict first, double *restrict sums) {{
+  const v zero = {{0}};
+  v S[N + NY][N + NZ];
+  for (int i = 0; i < N + NY; i++) for (int j = 0; j < N + NZ; j++) S[i][j] = zero;
+  for (long b = 0; b < groups; b++) {{
+    v a[N], na[N];
+    for (int c = 0; c < N; c++) a[c] = zero;
+    for (long k = length - 1; k >= 0; k--) {{
+      const u *x = (const u *)(states + (b*length + k)*N*8);
+      const u *z = (const u *)(zs + (b*length + k)*NZ*8);
+      const u *w = (const u *)(weighted + (b*length + k)*NY*8);
+      for (int l = 0; l < 8; l++)
+        if (size[8*b + l] == k + 1)
+          for (int c = 0; c < N; c++) a[c][l] = last[(b*N + c)*8 + l];
+      for (int i = 0; i < N; i++) {{
+        for (int j = 0; j < N; j++) S[i][j] += a[i]*x[j];
+        for (int j = 0; j < NZ; j++) S[i][N + j] += a[i]*z[j];
+      }}
+      for (int i = 0; i < NY; i++) {{
+        for (int j = 0; j < N; j++) S[N + i][j] -= w[i]*x[j];
+        for (int j = 0; j < NZ; j++) S[N + i][N + j] -= w[i]*z[j];
+      }}
+{BACK}
+      for (int c = 0; c < N; c++) a[c] = na[c];
+    }}
+    for (int c = 0; c < N; c++) *(u *)(first + (b*N + c)*8) = a[c];
+  }}
+  for (int i = 0; i < N + NY; i++) for (int j = 0; j < N + NZ; j++) sums[i*(N + NZ) + j] = total(S[i][j]);
+}}
+"""

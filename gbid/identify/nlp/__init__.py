@@ -1,0 +1,1 @@
+"""The nonlinear programme of a fit: multiple shooting, scaling, derivatives and the solver."""

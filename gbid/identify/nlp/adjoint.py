@@ -1,0 +1,133 @@
+"""Gradient of the Lagrangian alone, by the adjoint: a small part of the work of a pass with sensitivities.
+
+With ``w`` the weighted errors and ``a[k]`` the derivative of the cost by the state at sample k, the adjoint runs
+backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers of the gaps at the end of a window. Derivatives by
+the entries of F, G, C and H are sums of its products with states and regressors.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.sweep import from_starts, powers_of, scan
+from gbid.identify.nlp.shooting import Part, PartGradient, Shooting
+from gbid.identify.predictor import PredictorValues
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
+    """Gradient of ``cost + lam_gaps' gaps``, as `Shooting.lagrangian_gradient` has it from a pass.
+
+    Parameters
+    ----------
+    problem : Shooting
+    unknowns : (n_unknowns,) array
+        Scaled.
+    lam_gaps : (n_gaps,) array
+
+    Returns
+    -------
+    (n_unknowns,) array
+        NaN where the problem has no value.
+    """
+    theta, starts = problem.unpack(unknowns)
+    values = problem.valid_values(theta)
+    found = own_gradients(problem, values, starts, on_ends(problem, lam_gaps)) if values is not None else None
+    if found is None:
+        return np.full(problem.n_unknowns, np.nan)
+    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean)
+    for part, own in zip(problem.parts, found, strict=True):
+        by_theta[part.index] += own.theta if part.tie is None else part.tie.T @ own.theta
+    by_start = np.concatenate([own.starts for own in found]) * problem.state_scale
+    by_start[problem.links[:, 1]] -= lam_gaps.reshape(-1, problem.n_states)
+    return np.concatenate([by_theta * problem.theta_scale, by_start.ravel()])
+
+
+def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
+    """Multipliers of the windows' ends, (n_windows, n), in physical units: the gaps', zero where none follows."""
+    ends = np.zeros((problem.n_windows, problem.n_states))
+    ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
+    return ends
+
+
+def own_gradients(
+    problem: Shooting,
+    values: list[PredictorValues],
+    starts: FloatArray,
+    ends: FloatArray,
+    weight: FloatArray | None = None,
+) -> list[PartGradient] | None:
+    """Derive cost and weighted ends by each predictor's own parameters and the starts of its windows.
+
+    Parameters
+    ----------
+    problem : Shooting
+    values : list of PredictorValues
+        Of each part.
+    starts, ends : (n_windows, n) array
+        Of the windows, and multipliers of where these end.
+    weight : (n_y, n_y) array, optional
+        That of the errors when not given. With it parts do not depend on each other.
+
+    Returns
+    -------
+    list of PartGradient or None
+        In physical units, without the prior; None where the errors overflow.
+    """
+    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
+    made = [
+        from_starts(v, part.blocks, starts[own], part.engine)
+        for v, part, own in zip(values, problem.parts, windows, strict=True)
+    ]
+    if weight is None:
+        products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", p.errors, p.errors, optimize=True) for p in made))
+        if not np.isfinite(products).all():
+            return None
+        weight = problem.weight(products)
+    found = []
+    for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
+        sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, ends[own])
+        found.append(PartGradient(_by_parameters(v, sums), start))
+    return found
+
+
+def _of_part(
+    v: PredictorValues, part: Part, weighted: FloatArray, states: FloatArray, last: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return derivatives by the entries of ``[F G; C H]`` and by the windows' starts, (n_windows, n)."""
+    blocks, n = part.blocks, len(v.F)
+    at_end = np.zeros((n, len(blocks.size)))
+    at_end[:, blocks.window_first + blocks.window_size - 1] = last.T
+    at_start, sums = part.engine.adjoint(v, blocks, weighted, states, at_end)
+    if blocks.per_window > 1:
+        at_start = _back_along_windows(blocks, at_start, powers_of(v.F, blocks.length)[-1])
+        followed = np.setdiff1d(np.arange(blocks.n_blocks), blocks.window_first) - 1
+        at_end[:, followed] = at_start[:, followed + 1]
+        _, sums = part.engine.adjoint(v, blocks, weighted, states, at_end)
+    return sums, at_start[:, blocks.window_first].T
+
+
+def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:
+    """Adjoint at the start of every block, (n, W), from what each block makes of its own errors."""
+    backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
+    inside = backwards >= 0
+    blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)
+    result = np.zeros_like(own)
+    result[:, blocks_of[inside]] = scan(transition.T, own[:, blocks_of][..., None])[:, inside, 0]
+    return result
+
+
+def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
+    """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
+    n = len(v.F)
+    return np.asarray(
+        np.tensordot(v.dF, sums[:n, :n], 2)
+        + np.tensordot(v.dG, sums[:n, n:], 2)
+        + np.tensordot(v.dC, sums[n:, :n], 2)
+        + np.tensordot(v.dH, sums[n:, n:], 2)
+    )

@@ -1,0 +1,355 @@
+"""From recordings and options to the shooting problem: pieces, parts, links, and who shares which parameter."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import Hold
+from gbid.errors import DataError, UsageError
+from gbid.identify.data import FitData, Record
+from gbid.identify.kernel.blocks import LANES, Piece, cut
+from gbid.identify.kernel.engine import EngineName, choose_engine
+from gbid.identify.nlp.shooting import Part
+from gbid.identify.nlp.ties import Ties, tie_of
+from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
+from gbid.structure import Parameter, Structure, evaluate
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Scope = Literal["recording", "operating_point"]
+_WINDOW = {"prediction": 256, "simulation": 128}  # samples; fed back outputs steady a prediction: it may be longer
+_MOST_WINDOWS = {
+    "prediction": 64,
+    "simulation": 192,
+}  # beyond, longer windows; the solver's own work grows with their number
+
+
+@dataclass(frozen=True, eq=False)
+class Assembly:
+    """A fit's data in the form that the shooting problem wants.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    links : (n_links, 2) integer array
+        Windows that must meet, counted over all parts.
+    free : tuple of Parameter
+        The estimated parameters; local ones carry their group's name in brackets.
+    unused : tuple of str
+        Parameters of the structure that the focus does not see.
+    record_window : (n_records,) integer array
+        First window of each record.
+    record_names : tuple of dict
+        For each record, the full name of every free parameter that it sees, by the structure's name.
+    engine : str
+        Name of the engine.
+    notes : tuple of str
+    """
+
+    parts: tuple[Part, ...]
+    links: IntArray
+    free: tuple[Parameter, ...]
+    unused: tuple[str, ...]
+    record_window: IntArray
+    record_names: tuple[Mapping[str, str], ...]
+    engine: str
+    notes: tuple[str, ...]
+
+
+def assemble(
+    structure: Structure,
+    parameters: tuple[Parameter, ...],
+    begin: Mapping[str, float],
+    data: FitData,
+    *,
+    intersample: Hold | Sequence[Hold],
+    focus: Focus,
+    horizon: int,
+    offsets: bool,
+    local: Mapping[str, Scope],
+    left_out: Mapping[str, Sequence[tuple[int, int]]],
+    window: int | None,
+    engine: EngineName,
+    ties: Ties | None = None,
+) -> Assembly:
+    """Assemble a fit.
+
+    Parameters are those of `gbid.fit`; `parameters` and `begin` have its starts, bounds and fixed values in. With
+    `ties`, parameters of the structure are linear in further, shared unknowns, which are then the first of `free`.
+
+    Raises
+    ------
+    UsageError, DataError
+        For options that do not fit the structure or the recordings.
+    """
+    held = {q.name: begin[q.name] for q in parameters if q.fixed}
+    offset_names = [f"offset_{name}" for name in data.output_names] if offsets else []
+
+    def predictor_for(kind: Focus) -> Predictor:
+        built = build_predictor(
+            structure, held, data.sample_time, intersample, kind, offset_names=offset_names, horizon=horizon
+        )
+        known = {q.name: q for q in parameters}
+        return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
+
+    predictor = predictor_for(focus)
+    _check_channels(structure, predictor, data)
+    always: Scope = "recording"
+    scopes = {**local, **dict.fromkeys(offset_names, always)}
+    unknown = [name for name in scopes if name not in [q.name for q in predictor.free]]
+    if unknown:
+        raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
+    if scopes or left_out:
+        _check_names(data)
+    tied = frozenset(ties.names) if ties else frozenset()
+    record_names = tuple(_full_names(predictor, record, scopes, len(data.records), tied) for record in data.records)
+    free = _all_free(predictor.free, record_names)
+    if ties is not None:
+        _check_names(data)
+        record_names = tuple(
+            {**names, **ties.own_names(record.name)} for names, record in zip(record_names, data.records, strict=True)
+        )
+        free = (*ties.shared, *free, *_all_free(ties.own, record_names))
+    position = {q.name: i for i, q in enumerate(free)}
+
+    pieces = [_pieces(record, left_out.get(record.name, ()), predictor) for record in data.records]
+    strangers = [name for name in left_out if name not in [record.name for record in data.records]]
+    if strangers:
+        raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
+    gap_predictor = predictor_for("simulation") if any(p.is_gap for record in pieces for p in record) else None
+
+    builder = _Builder(window, begin, engine)
+    for i, (names, record) in enumerate(zip(record_names, pieces, strict=True)):
+        for piece in record:
+            chosen = gap_predictor if piece.is_gap and gap_predictor is not None else predictor
+            if ties is None:
+                builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), piece.piece)
+            else:
+                index, tie = tie_of(chosen, names, position, ties, i)
+                builder.add(chosen, index, piece.piece, tie)
+    parts, windows = builder.build()
+    return Assembly(
+        parts,
+        _links(windows, [len(record) for record in pieces]),
+        free,
+        predictor.unused,
+        _record_windows(windows, [len(record) for record in pieces]),
+        record_names,
+        builder.engine_name,
+        tuple(dict.fromkeys(builder.notes)),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    piece: Piece
+    is_gap: bool
+
+
+def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -> None:
+    n_inputs, n_outputs = len(data.input_names), len(data.output_names)
+    if (predictor.n_inputs, predictor.n_outputs) != (n_inputs, n_outputs):
+        raise UsageError(
+            f"structure {structure.name!r} has {predictor.n_inputs} inputs and {predictor.n_outputs} outputs; "
+            f"the recordings give {n_inputs} ({', '.join(data.input_names)}) and {n_outputs} "
+            f"({', '.join(data.output_names)})"
+        )
+
+
+def _check_names(data: FitData) -> None:
+    """Refuse recordings of one name where options tell them apart by it."""
+    names = [record.name for record in data.records]
+    twice = sorted({name for name in names if names.count(name) > 1})
+    if twice:
+        raise UsageError(
+            f"several recordings are named {twice[0]!r}; local parameters, offsets and left_out tell recordings apart "
+            "by name, so give each its own"
+        )
+
+
+def group_name(record: Record, scope: Scope) -> str:
+    """Name of the group of records that share a local parameter."""
+    if scope == "recording":
+        return record.name
+    if scope != "operating_point":
+        raise UsageError(f"local = {scope!r}; choose 'recording' or 'operating_point'")
+    pressure, speed = (record.conditions.get(key) for key in ("pressure_bar", "speed_rpm"))
+    if pressure is None or speed is None:
+        raise DataError(
+            f"recording {record.name!r} states no pressure_bar and speed_rpm, which parameters local to an "
+            "operating point need"
+        )
+    return f"{pressure:g} bar, {speed:g} rpm"
+
+
+def _full_names(
+    predictor: Predictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
+) -> dict[str, str]:
+    names = {}
+    for q in predictor.free:
+        if q.name in tied:
+            continue
+        scope = scopes.get(q.name)
+        names[q.name] = q.name if scope is None or n_records == 1 else f"{q.name}[{group_name(record, scope)}]"
+    return names
+
+
+def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
+    """Shared parameters once, local ones once for each group, in the structure's order."""
+    found: dict[str, Parameter] = {}
+    for q in parameters:
+        for names in record_names:
+            full = names.get(q.name)
+            if full is not None and full not in found:
+                found[full] = q if full == q.name else _renamed(q, full)
+    return tuple(found.values())
+
+
+def _renamed(q: Parameter, name: str) -> Parameter:
+    """Copy a parameter under the name of a local one, which is no identifier."""
+    copy = replace(q)
+    object.__setattr__(copy, "name", name)
+    return copy
+
+
+def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[_Stretch]:
+    """Cut a record at what is left out.
+
+    Without feedback of the outputs the model runs through and those samples just do not count. With feedback
+    the model runs through them on its own: a stretch of simulation between two of prediction.
+    """
+    n = record.n_samples
+    counts = np.ones(n)
+    for start, stop in ranges:
+        if not 0 <= start < stop <= n:
+            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
+        counts[start:stop] = 0.0
+    if counts.all():
+        return [_Stretch(Piece(record.inputs, record.outputs), False)]
+    if not counts.any():
+        raise DataError(f"recording {record.name!r}: all samples are left out")
+    if not predictor.feeds_back:
+        return [_Stretch(Piece(record.inputs, record.outputs, counts), False)]
+    if predictor.horizon > 1:
+        raise UsageError("left_out with a disturbance gain and a horizon beyond 1 is not possible; choose one")
+    edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
+    return [
+        _Stretch(Piece(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
+        for a, b in itertools.pairwise(edges)
+    ]
+
+
+def automatic_window(data: FitData, focus: Focus) -> int:
+    """Choose a window: short enough for bad starts, the number of windows a multiple of the lanes.
+
+    Parameters
+    ----------
+    data : FitData
+    focus : {"prediction", "simulation"}
+
+    Returns
+    -------
+    int
+        Samples.
+    """
+    n = data.n_samples
+    count = min(LANES * -(-n // (_WINDOW[focus] * LANES)), _MOST_WINDOWS[focus])
+    return -(-n // count)
+
+
+def full_start(
+    assembly: Assembly, begin: Mapping[str, float], offsets: Sequence[Mapping[str, float]] = ()
+) -> dict[str, float]:
+    """Start values under full names: every group of a local parameter starts alike, `offsets` for each record."""
+    full = dict(begin)
+    for i, names in enumerate(assembly.record_names):
+        own = {**begin, **(offsets[i] if offsets else {})}
+        full |= {long: own.get(short, 0.0) for short, long in names.items()}
+    return full
+
+
+def offset_starts(
+    structure: Structure, begin: Mapping[str, float], data: FitData, intersample: Hold | Sequence[Hold]
+) -> list[dict[str, float]]:
+    """Start values of each record's offsets: what the model at its start leaves of the outputs on average."""
+    starts = []
+    for record in data.records:
+        model = evaluate(structure, begin)
+        simulated = model.simulate(record.inputs, data.sample_time, intersample=intersample)
+        left = np.median(record.outputs - simulated, axis=0)
+        if not np.isfinite(left).all():  # an unstable start
+            left = np.median(record.outputs, axis=0)
+        starts.append({f"offset_{name}": float(v) for name, v in zip(data.output_names, left, strict=True)})
+    return starts
+
+
+_Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and how they are tied
+
+
+class _Builder:
+    """Collects pieces of the same predictor and parameters, and cuts them together."""
+
+    def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
+        self._window, self._begin, self._engine = window, begin, engine
+        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Piece]]] = {}
+        self._order: list[tuple[_Key, int]] = []
+        self.engine_name = ""
+        self.notes: list[str] = []
+
+    def add(self, predictor: Predictor, index: tuple[int, ...], piece: Piece, tie: FloatArray | None = None) -> None:
+        key = (id(predictor), index, b"" if tie is None else tie.tobytes())
+        _, _, pieces = self._groups.setdefault(key, (predictor, tie, []))
+        self._order.append((key, len(pieces)))
+        pieces.append(piece)
+
+    def build(self) -> tuple[tuple[Part, ...], list[tuple[int, int]]]:
+        """Return the parts, and first and last window (over all parts) of each piece in the order of adding."""
+        parts, windows_of = [], {}
+        engines: dict[int, object] = {}
+        base = 0
+        for key, (predictor, tie, pieces) in self._groups.items():
+            predictor_id, index, _ = key
+            if predictor_id not in engines:
+                chosen = choose_engine(self._engine, self._samples(predictor))
+                engines[predictor_id] = chosen.run
+                self.engine_name = chosen.name
+                self.notes += [chosen.note] if chosen.note else []
+            blocks = cut(pieces, predictor, self._window)
+            part = Part(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
+            parts.append(part)
+            ends = np.append(blocks.piece_first[1:], blocks.n_windows) - 1
+            for i, (a, b) in enumerate(zip(blocks.piece_first, ends, strict=True)):
+                windows_of[key, i] = (base + int(a), base + int(b))
+            base += blocks.n_windows
+        return tuple(parts), [windows_of[item] for item in self._order]
+
+    def _samples(self, predictor: Predictor) -> list[PredictorValues]:
+        """Evaluate the predictor at the start and at a point where nothing is zero by chance."""
+        theta = np.array([self._begin.get(q.name, 0.0) for q in predictor.free])
+        nudged = np.where(theta == 0, 1e-3, theta * 1.001)
+        nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
+        return [predictor.at(theta), predictor.at(nudged)]
+
+
+def _links(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
+    """Neighbouring windows within each piece, and over the edges of the pieces of one record."""
+    links, i = [], 0
+    for count in pieces_of:
+        for j in range(count):
+            first, last = windows[i + j]
+            links += [(w, w + 1) for w in range(first, last)]
+            if j + 1 < count:
+                links.append((last, windows[i + j + 1][0]))
+        i += count
+    return np.array(links, dtype=np.int64).reshape(-1, 2)
+
+
+def _record_windows(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
+    firsts = np.cumsum([0, *pieces_of[:-1]])
+    return np.array([windows[i][0] for i in firsts])

@@ -1,0 +1,109 @@
+"""Columns of the Hessian as they are, what Gauss-Newton leaves out included: differences of the adjoint's gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.nlp.adjoint import own_gradients
+from gbid.identify.nlp.shooting import Part, Shooting
+from gbid.identify.predictor import PredictorValues
+
+FloatArray = npt.NDArray[np.float64]
+# Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show
+# make much of an error in their columns; and the most of a parameter, where the cost does not depend on it.
+_DIFFERENCE, _MOST = 3e-8, 1e-4
+
+
+class PartHessian(NamedTuple):
+    """Hessian of a part, or columns of it, without the block of the windows' starts.
+
+    Attributes
+    ----------
+    theta : (n_p, m) array
+        By parameters, and by those of them that the columns are of.
+    mixed : (n_windows, m, n) array
+        By the latter and the starts of the windows.
+    """
+
+    theta: FloatArray
+    mixed: FloatArray
+
+
+def exact_columns(
+    problem: Shooting,
+    theta: FloatArray,
+    starts: FloatArray,
+    ends: FloatArray,
+    wanted: Sequence[Sequence[int]],
+    curvatures: Sequence[FloatArray],
+    weight: FloatArray | None,
+) -> list[PartHessian]:
+    """Second derivatives of cost and weighted ends by each predictor's own parameters.
+
+    Parts share the passes over the samples, one for each parameter that is wanted of the part that wants most.
+
+    Parameters
+    ----------
+    problem : Shooting
+    theta : (n_p,) array
+    starts, ends : (n_windows, n) array
+        Of the windows, and multipliers of where these end.
+    wanted : sequence of sequence of int
+        For each part which of its own parameters.
+    curvatures : sequence of (n_p,) array
+        For each part its share in the second derivatives of the cost by the parameters at its `index`, roughly: steps
+        are chosen by their sum.
+    weight : (n_y, n_y) array or None
+        Of the errors; None lets it change with them, as the logarithm's does, and is for columns that all parts share.
+
+    Returns
+    -------
+    list of PartHessian
+        In physical units; NaN where the errors overflow.
+    """
+    curvature = np.zeros(problem.n_theta)
+    for part, share in zip(problem.parts, curvatures, strict=True):
+        curvature[part.index] += share
+    units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
+    values = problem.values(theta)
+    here = own_gradients(problem, values, starts, ends, weight)
+    counts = [part.blocks.n_windows for part in problem.parts]
+    columns = [
+        PartHessian(
+            np.full((len(part.predictor.free), len(own)), np.nan), np.full((n, len(own), problem.n_states), np.nan)
+        )
+        for part, own, n in zip(problem.parts, wanted, counts, strict=True)
+    ]
+    if here is None:
+        return columns
+    for k in range(max(map(len, wanted))):
+        moved = [
+            (_moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0))
+            for part, own, v in zip(problem.parts, wanted, values, strict=True)
+        ]
+        there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
+        if there is None:
+            continue
+        for found, own, (_, step), after, before in zip(columns, wanted, moved, there, here, strict=True):
+            if k < len(own):
+                found.theta[:, k] = (after.theta - before.theta) / step
+                found.mixed[:, k] = (after.starts - before.starts) / step
+    return columns
+
+
+def _moved(
+    problem: Shooting, part: Part, theta: FloatArray, j: int, units: FloatArray
+) -> tuple[PredictorValues, float]:
+    """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
+    own = np.array(part.own(theta), float)
+    onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
+    step = _DIFFERENCE * float((onto * units[part.index]).max())
+    step = min(step, _MOST * max(abs(float(own[j])), float((onto * problem.theta_scale[part.index]).max())))
+    if own[j] + step > part.predictor.free[j].upper:
+        step = -step
+    own[j] += step
+    return part.predictor.at(own), step

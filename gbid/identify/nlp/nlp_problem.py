@@ -1,0 +1,148 @@
+"""The shooting problem of an assembled fit: scales, window starts, bounds, priors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import inf
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.errors import UsageError
+from gbid.identify.data import FitData
+from gbid.identify.kernel.sweep import forced_states
+from gbid.identify.nlp.assembly import Assembly
+from gbid.identify.nlp.shooting import Criterion, Prior, Shooting, spectral_radius
+
+FloatArray = npt.NDArray[np.float64]
+InitialState = Literal["estimated", "zero"] | Sequence[float]
+
+
+def build_problem(
+    assembly: Assembly,
+    data: FitData,
+    criterion: Criterion,
+    output_weights: Sequence[float] | None,
+    begin: Mapping[str, float],
+    prior: Mapping[str, tuple[float, float]],
+    scaling: bool,
+) -> tuple[Shooting, FloatArray]:
+    """Scale the unknowns, and find window starts for the start values.
+
+    Parameters
+    ----------
+    assembly : Assembly
+    data : FitData
+    criterion, output_weights, prior, scaling
+        As for `gbid.fit`.
+    begin : dict of str to float
+        Start values by full name.
+
+    Returns
+    -------
+    Shooting
+    (n_unknowns,) array
+        Where to start, scaled: each window's own least-squares start for the start values.
+    """
+    weights = _checked_weights(output_weights, data)
+    theta = np.array([begin[q.name] for q in assembly.free])
+    n = assembly.parts[0].predictor.n_states
+    power = sum(float(np.var(r.outputs, axis=0) @ weights) * r.n_samples for r in data.records)
+    ones = np.ones(len(theta))
+    known = _prior(assembly, prior)
+    scale = float(np.sqrt(power / data.n_samples))
+    problem = Shooting(assembly.parts, assembly.links, criterion, weights, scale, ones, np.ones(n), known)
+    values = problem.values(theta)
+    squares = [
+        np.mean(forced_states(v, part.blocks) ** 2, axis=(0, 2)) for v, part in zip(values, problem.parts, strict=True)
+    ]
+    size = np.sqrt(np.max(squares, axis=0))
+    state_scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
+    sweeps = problem.sweeps(values, np.zeros((problem.n_windows, n)), np.diag(weights) / power)
+    hessian = np.concatenate([s.hessian_start for s in sweeps])
+    starts = -_ridge_solve(hessian, np.concatenate([s.gradient_start for s in sweeps]), state_scale)
+    products = problem.error_products(values, starts)
+    curvature = known.information / problem.likelihood_size
+    if np.isfinite(products).all():  # the pass above, in units of the errors at these starts
+        unit = power / (float(weights @ np.diag(products)) + 1e-13 * power)
+        for s, part in zip(sweeps, problem.parts, strict=True):
+            curvature[part.index] += unit * np.diag(s.hessian)
+    magnitude = np.where(theta != 0, np.abs(theta), 1.0)
+    theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
+    if not scaling:
+        theta_scale, state_scale = ones, np.ones(n)
+    stable = spectral_radius(values) <= 1
+    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={}, _met={})
+    return problem, problem.pack(theta, starts)
+
+
+def unknown_bounds(problem: Shooting, assembly: Assembly, initial_state: InitialState) -> tuple[FloatArray, FloatArray]:
+    """Bounds of all unknowns, scaled; given initial states are held.
+
+    Raises
+    ------
+    UsageError
+        When the initial state is neither a known word nor a state.
+    """
+    free = np.full((problem.n_windows, problem.n_states), inf)
+    lower = problem.pack(np.array([q.lower for q in assembly.free]), -free)
+    upper = problem.pack(np.array([q.upper for q in assembly.free]), free)
+    if isinstance(initial_state, str):
+        if initial_state == "estimated":
+            return lower, upper
+        if initial_state != "zero":
+            raise UsageError(f"initial_state = {initial_state!r}; choose 'estimated', 'zero' or give the state")
+        given = np.zeros(problem.n_states)
+    else:
+        given = np.asarray(initial_state, float)
+    if given.shape != (problem.n_states,):
+        raise UsageError(f"initial_state has shape {given.shape}; the structure has {problem.n_states} states")
+    if not np.isfinite(given).all():
+        raise UsageError(f"initial_state = {initial_state}; it must be finite")
+    for window in assembly.record_window:
+        first = problem.n_theta + int(window) * problem.n_states
+        place = slice(first, first + problem.n_states)
+        lower[place] = upper[place] = given / problem.state_scale
+    return lower, upper
+
+
+def window_length(problem: Shooting) -> int:
+    """Return the number of samples in a shooting window."""
+    blocks = problem.parts[0].blocks
+    return blocks.length * blocks.per_window
+
+
+def _checked_weights(output_weights: Sequence[float] | None, data: FitData) -> FloatArray:
+    n_y = len(data.output_names)
+    weights = np.ones(n_y) if output_weights is None else np.asarray(output_weights, float)
+    if weights.shape != (n_y,) or not (np.isfinite(weights).all() and (weights > 0).all()):
+        names = ", ".join(data.output_names)
+        raise UsageError(f"output_weights = {output_weights}; give one positive number for each of {names}")
+    return weights
+
+
+def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prior:
+    """Priors by full or by own names; the latter hold for every group."""
+    full = {q.name: i for i, q in enumerate(assembly.free)}
+    mean, information = np.zeros(len(full)), np.zeros(len(full))
+    for name, (value, std) in prior.items():
+        own = [i for long, i in full.items() if name in (long, long.partition("[")[0])]
+        if not own:
+            raise UsageError(f"prior names a parameter that is not estimated: {name}")
+        if not (np.isfinite(value) and np.isfinite(std) and std > 0):
+            raise UsageError(f"prior of {name} = ({value}, {std}); give a value and a positive standard deviation")
+        mean[own], information[own] = value, 1 / std**2
+    return Prior(mean, information)
+
+
+def _ridge_solve(hessian: FloatArray, gradient: FloatArray, scale: FloatArray) -> FloatArray:
+    """Solve per window, held near zero where a window says nothing about a state."""
+    scaled = hessian * np.outer(scale, scale)
+    n = len(scale)
+    ridge = 1e-6 * np.trace(scaled, axis1=1, axis2=2)[:, None, None] / n + 1e-300
+    matrix = scaled + ridge * np.eye(n)
+    if not np.isfinite(matrix).all():
+        return np.zeros_like(gradient)
+    return np.asarray(np.linalg.solve(matrix, (gradient * scale)[:, :, None])[:, :, 0] * scale)

@@ -1,0 +1,508 @@
+"""The multiple-shooting problem of a prediction-error fit, as numbers.
+
+Unknowns are the free parameters and the state at the start of each window; the cost is the prediction error
+of Eq. 15 (or the log-determinant of its covariance); constraints say that each window ends where the next
+begins. All is scaled to the order of one; one pass over the samples serves cost, gradient, constraints,
+Jacobian and Gauss-Newton Hessian of an iterate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.kernel.block_sums import Engine
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.sweep import Sweep, residuals, sweep, tied
+from gbid.identify.predictor import Predictor, PredictorValues
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+Criterion = Literal["trace", "det"]
+_ROUNDING = 1e-13  # of the outputs' power
+_EDGE = 0.02  # of the stability margin of the model itself
+_WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Pieces that share one predictor and the same values of its parameters.
+
+    Attributes
+    ----------
+    predictor : Predictor
+    blocks : Blocks
+    index : (n_p,) integer array
+        Which of the problem's parameters are those of the predictor.
+    engine : Engine
+        Runs the pass.
+    tie : (n_own, n_p) array or None
+        When the predictor's own parameters are linear in the problem's, ``own = tie @ theta[index]``; None when they
+        are those of `index` themselves.
+    """
+
+    predictor: Predictor
+    blocks: Blocks
+    index: IntArray
+    engine: Engine
+    tie: FloatArray | None = None
+
+    def own(self, theta: FloatArray) -> FloatArray:
+        """Values of the predictor's parameters at the problem's parameters."""
+        return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
+
+    @property
+    def noise(self) -> IntArray:
+        """Which of the problem's parameters only the disturbance gain depends on."""
+        rows = list(self.predictor.noise)
+        if self.tie is None:
+            return self.index[rows]
+        return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
+
+    def within_bounds(self, theta: FloatArray) -> bool:
+        """Whether parameters that are tied lie where the predictor allows them: no bound of an unknown says so."""
+        if self.tie is None:
+            return True
+        free = self.predictor.free
+        return all(q.lower <= v <= q.upper for q, v in zip(free, self.own(theta).tolist(), strict=True))
+
+
+class Iterate(NamedTuple):
+    """What a solver asks for at one point, in scaled units.
+
+    Attributes
+    ----------
+    cost : float
+    gradient : (n_unknowns,) array
+    gaps : (n_gaps,) array
+    jacobian : (n_nonzeros,) array
+        Entries of the Jacobian of the gaps, where `Shooting.jacobian_pattern` has them.
+    hessian : (n_nonzeros,) array
+        Entries of the upper triangle, where `Shooting.hessian_pattern` has them.
+    sweeps : tuple of Sweep
+        What the pass says of each part, in physical units; empty where the problem has no value.
+    factor : float
+        What brings the sums of a sweep to the scale of the cost.
+    """
+
+    cost: float
+    gradient: FloatArray
+    gaps: FloatArray
+    jacobian: FloatArray
+    hessian: FloatArray
+    sweeps: tuple[Sweep, ...]
+    factor: float
+
+
+class PartGradient(NamedTuple):
+    """What a part adds to the gradient of the Lagrangian, without the prior.
+
+    Attributes
+    ----------
+    theta : (n_p,) array
+        By parameters: those at the part's `index`, or the predictor's own.
+    starts : (n_windows, n) array
+        By its windows' starts; that another window is to end there is left out.
+    """
+
+    theta: FloatArray
+    starts: FloatArray
+
+
+class Pattern(NamedTuple):
+    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
+
+    shape: tuple[int, int]
+    rows: IntArray
+    columns: IntArray
+    order: IntArray
+
+
+class Prior(NamedTuple):
+    """What is known of parameters beforehand: normal, independent.
+
+    Attributes
+    ----------
+    mean : (n_p,) array
+    information : (n_p,) array
+        Inverse variances; zero where nothing is known.
+    """
+
+    mean: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Shooting:
+    """A fit as a nonlinear programme.
+
+    Attributes
+    ----------
+    parts : tuple of Part
+    links : (n_links, 2) integer array
+        Windows, counted over all parts, of which the first must end where the second starts.
+    criterion : {"trace", "det"}
+    output_weights : (n_y,) array
+        Weights of the squared errors in the trace.
+    output_scale : float
+        Total weighted standard deviation of the outputs.
+    theta_scale : (n_p,) array
+    state_scale : (n,) array
+    prior : Prior
+    stable_only : bool
+        Whether points with an unstable predictor count as none: over a finite record one can have smaller errors
+        than the stable predictor that the estimate is about.
+    """
+
+    parts: tuple[Part, ...]
+    links: IntArray
+    criterion: Criterion
+    output_weights: FloatArray
+    output_scale: float
+    theta_scale: FloatArray
+    state_scale: FloatArray
+    prior: Prior
+    stable_only: bool = False
+    _last: dict[bytes, Iterate] = field(default_factory=dict)
+    _met: dict[bytes, list[PredictorValues]] = field(default_factory=dict)
+
+    @property
+    def n_theta(self) -> int:
+        """Number of free parameters."""
+        return len(self.theta_scale)
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.state_scale)
+
+    @cached_property
+    def n_windows(self) -> int:
+        """Number of shooting windows."""
+        return sum(part.blocks.n_windows for part in self.parts)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Free parameters and window starts."""
+        return self.n_theta + self.n_windows * self.n_states
+
+    @property
+    def n_gaps(self) -> int:
+        """Number of scalar gap constraints."""
+        return len(self.links) * self.n_states
+
+    @cached_property
+    def n_samples(self) -> int:
+        """Number of samples in the cost."""
+        return sum(part.blocks.n_samples for part in self.parts)
+
+    @cached_property
+    def first_window(self) -> IntArray:
+        """First window of each part, shape (n_parts + 1,)."""
+        return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
+
+    def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
+        """Scale parameters (n_p,) and window starts (n_windows, n) into one vector of unknowns."""
+        return np.concatenate([theta / self.theta_scale, (starts / self.state_scale).ravel()])
+
+    def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return parameters (n_p,) and window starts (n_windows, n) in physical units."""
+        theta = unknowns[: self.n_theta] * self.theta_scale
+        starts = unknowns[self.n_theta :].reshape(self.n_windows, self.n_states) * self.state_scale
+        return theta, starts
+
+    def values(self, theta: FloatArray) -> list[PredictorValues]:
+        """Predictors of all parts, shared where parts share them; those of the last parameters are kept."""
+        point = theta.tobytes()
+        if point in self._met:
+            return self._met[point]
+        met: dict[tuple[int, bytes], PredictorValues] = {}
+        result = []
+        for part in self.parts:
+            own = part.own(theta)
+            key = (id(part.predictor), own.tobytes())
+            if key not in met:
+                met[key] = part.predictor.at(own)
+            result.append(met[key])
+        self._met.clear()
+        self._met[point] = result
+        return result
+
+    def valid_values(self, theta: FloatArray) -> list[PredictorValues] | None:
+        """Predictors of all parts; None where the problem has no value: beyond bounds of tied ones, or unstable."""
+        if not all(part.within_bounds(theta) for part in self.parts):
+            return None
+        values = self.values(theta)
+        return None if self.stable_only and self.noise and spectral_radius(values) > 1 else values
+
+    def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
+        """One pass over every part; `starts` (n_windows, n)."""
+        return [
+            tied(sweep(v, part.blocks, starts[a:b], weight, part.engine), part.tie)
+            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
+        ]
+
+    def errors(self, values: list[PredictorValues], starts: FloatArray) -> list[FloatArray]:
+        """Prediction errors of every part in blocks, zero where samples do not count."""
+        return [
+            residuals(v, part.blocks, starts[a:b], part.engine)
+            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
+        ]
+
+    def error_products(self, values: list[PredictorValues], starts: FloatArray) -> FloatArray:
+        """``sum e e'`` over all parts, (n_y, n_y)."""
+        return np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e, optimize=True) for e in self.errors(values, starts)))
+
+    def weight(self, error_products: FloatArray) -> FloatArray:
+        """Weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
+        if self.criterion == "trace":
+            W = np.diag(self.output_weights)
+            return np.asarray(W / (float(np.trace(W @ error_products)) + self._floor))
+        return np.asarray(np.linalg.inv(error_products + self._floor * np.eye(len(error_products))))
+
+    def cost(self, error_products: FloatArray) -> float:
+        """Half the logarithm of the weighted trace or determinant of ``sum e e'``, in units of the outputs' power.
+
+        The logarithm moves no optimum, and makes the solver's tolerance one relative to the errors that are left.
+        """
+        n_y = len(error_products)
+        if self.criterion == "trace":
+            total = float(self.output_weights @ np.diag(error_products))
+            return 0.5 * float(np.log((total + self._floor) / self._power))
+        return 0.5 * float(np.linalg.slogdet((error_products + self._floor * np.eye(n_y)) / self._power)[1])
+
+    def at(self, unknowns: FloatArray) -> Iterate:
+        """Evaluate at a point, or hand back the last evaluation when the point is the same."""
+        key = unknowns.tobytes()
+        if key not in self._last:
+            iterate = self._evaluate(unknowns)
+            self._last.clear()
+            self._last[key] = iterate
+        return self._last[key]
+
+    @cached_property
+    def noise(self) -> tuple[int, ...]:
+        """Parameters that only disturbance gains depend on."""
+        return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
+
+    def lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
+        """Gradient of ``lam_f cost + lam_gaps' gaps`` at an evaluated point, (n_unknowns,)."""
+        pattern = self.jacobian_pattern
+        weighted = iterate.jacobian * lam_gaps[pattern.rows]
+        return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))
+
+    def gradients_by_part(self, iterate: Iterate, lam_gaps: FloatArray) -> list[PartGradient]:
+        """Gradient of ``cost + lam_gaps' gaps`` part by part at an evaluated point."""
+        t, x, factor = self.theta_scale, self.state_scale, iterate.factor
+        ends_in = np.zeros((self.n_windows, self.n_states))
+        ends_in[self.links[:, 0]] = lam_gaps.reshape(-1, self.n_states) / x
+        found = []
+        for s, part, a, b in zip(
+            iterate.sweeps, self.parts, self.first_window[:-1], self.first_window[1:], strict=True
+        ):
+            theta = factor * s.gradient + np.einsum("wnp,wn->p", s.end_theta, ends_in[a:b])
+            starts = factor * s.gradient_start + np.einsum("wnm,wn->wm", s.end_start, ends_in[a:b])
+            found.append(PartGradient(theta * t[part.index], starts * x))
+        return found
+
+    def at_edge(self, theta: FloatArray) -> bool:
+        """Whether a predictor has come so near to instability that its disturbance gain is no estimate."""
+        if not (self.noise and self.stable_only):
+            return False
+        for part, values in zip(self.parts, self.values(theta), strict=True):
+            own = np.array(part.own(theta))
+            own[list(part.predictor.noise)] = 0.0
+            if 1 - spectral_radius([values]) <= _EDGE * (1 - spectral_radius([part.predictor.at(own)])):
+                return True
+        return False
+
+    @cached_property
+    def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Bounds of parameters that are tied, as no bound of an unknown says them.
+
+        Returns
+        -------
+        (n_limits, n_theta) array
+            Makes the parameters of the scaled unknowns, in units of their own scales.
+        (n_limits,) array, (n_limits,) array
+            Their bounds.
+        """
+        rows, lower, upper = [], [], []
+        for part in self.parts:
+            if part.tie is None:
+                continue
+            for q, tie in zip(part.predictor.free, part.tie, strict=True):
+                row = np.zeros(self.n_theta)
+                row[part.index] = tie * self.theta_scale[part.index]
+                size = float(np.abs(row).max())
+                if size > 0 and np.isfinite([q.lower, q.upper]).any():
+                    rows.append(row / size)
+                    lower.append(q.lower / size)
+                    upper.append(q.upper / size)
+        return np.array(rows).reshape(-1, self.n_theta), np.array(lower), np.array(upper)
+
+    @cached_property
+    def jacobian_pattern(self) -> Pattern:
+        """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
+        n, n_t = self.n_states, self.n_theta
+        rows, columns = [], []
+        for link_rows, windows, part in self._links_by_part:
+            own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
+            rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
+            columns += [
+                np.broadcast_to(part.index, rows[-2].shape),
+                np.broadcast_to((n_t + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
+            ]
+        following = np.arange(self.n_gaps)
+        rows.append(following)
+        columns.append((n_t + self.links[:, 1:] * n + np.arange(n)).ravel())
+        return _in_column_order((self.n_gaps, self.n_unknowns), rows, columns)
+
+    @cached_property
+    def hessian_pattern(self) -> Pattern:
+        """Where the upper triangle of the Hessian has entries: an arrow."""
+        n, n_t = self.n_states, self.n_theta
+        rows, columns = [self._theta_pairs[0]], [self._theta_pairs[1]]
+        upper = np.triu_indices(n)
+        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
+            base = n_t + np.arange(first, last) * n
+            shape = (last - first, len(part.index), n)
+            rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
+            columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+        return _in_column_order((self.n_unknowns, self.n_unknowns), rows, columns)
+
+    @property
+    def exact_cost(self) -> float:
+        """Cost at or below which all errors are rounding, as for data that a model made without noise."""
+        n_y = len(self.output_weights)
+        if self.criterion == "det":
+            return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW)
+        return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW / float(self.output_weights.sum()))
+
+    @property
+    def _power(self) -> float:
+        return self.n_samples * self.output_scale**2
+
+    @property
+    def _floor(self) -> float:
+        """Errors below rounding are no errors: keeps the logarithm finite for data without noise."""
+        return _ROUNDING * self._power
+
+    @property
+    def likelihood_size(self) -> float:
+        """The cost is the negative log-likelihood over this number."""
+        n_y = len(self.output_weights)
+        return self.n_samples * (n_y if self.criterion == "trace" else 1)
+
+    @cached_property
+    def _links_by_part(self) -> list[tuple[IntArray, IntArray, Part]]:
+        """Links that start in each part: their rows, their first windows, the part."""
+        result = []
+        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
+            own = np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last))
+            result.append((own, self.links[own, 0], part))
+        return result
+
+    @cached_property
+    def _theta_pairs(self) -> tuple[IntArray, IntArray]:
+        """Pairs of parameters that meet in some part, upper triangle."""
+        meet = np.eye(self.n_theta, dtype=bool)
+        for part in self.parts:
+            meet[np.ix_(part.index, part.index)] = True
+        rows, columns = np.nonzero(np.triu(meet))
+        return rows, columns
+
+    def _evaluate(self, unknowns: FloatArray) -> Iterate:
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
+            theta, starts = self.unpack(unknowns)
+            values = self.valid_values(theta)
+            if values is None:
+                return self._invalid()
+            if self.criterion == "trace":  # the weight is a number: it can follow the pass
+                W = np.diag(self.output_weights)
+                sweeps = self.sweeps(values, starts, W / self._power)
+                products = np.asarray(sum(s.error_products for s in sweeps))
+                factor = self._power / (float(np.trace(W @ products)) + self._floor)
+            else:
+                products = self.error_products(values, starts)
+                if not np.isfinite(products).all():
+                    return self._invalid()
+                sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
+            return self._assembled(theta, starts, sweeps, products, factor)
+
+    def _assembled(
+        self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
+    ) -> Iterate:
+        """Put the parts' sums in their places, scaled."""
+        t, x = self.theta_scale, self.state_scale
+        gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
+        starts_gradient, mixed, own, jacobian = [], [], [], []
+        ends = np.concatenate([s.end for s in sweeps])
+        for s, part, (_, windows, _), first in zip(
+            sweeps, self.parts, self._links_by_part, self.first_window[:-1], strict=True
+        ):
+            gradient[part.index] += s.gradient
+            hessian[np.ix_(part.index, part.index)] += s.hessian
+            starts_gradient.append(s.gradient_start * (factor * x))
+            mixed.append(s.hessian_mixed * (factor * t[part.index, None] * x))
+            own.append(s.hessian_start * (factor * np.outer(x, x)))
+            local = windows - first
+            jacobian += [
+                (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
+                (s.end_start[local] / x[:, None] * x).ravel(),
+            ]
+        away = theta - self.prior.mean
+        known = self.prior.information / self.likelihood_size
+        gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
+        gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
+        jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
+        return Iterate(
+            self.cost(products) + 0.5 * float(known @ away**2),
+            np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
+            gaps.ravel(),
+            jacobian_entries[self.jacobian_pattern.order],
+            self.hessian_entries(hessian * np.outer(t, t), mixed, own),
+            tuple(sweeps),
+            factor,
+        )
+
+    def hessian_entries(
+        self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
+    ) -> FloatArray:
+        """Entries where `hessian_pattern` has them, from blocks of the parameters (n_theta, n_theta) and of each part.
+
+        `mixed` are (n_windows, n_p, n), `starts` (n_windows, n, n).
+        """
+        rows, columns = np.triu_indices(self.n_states)
+        arrow = [
+            entries
+            for m, own in zip(mixed, starts, strict=True)
+            for entries in (m.ravel(), own[:, rows, columns].ravel())
+        ]
+        return np.asarray(np.concatenate([theta[self._theta_pairs], *arrow])[self.hessian_pattern.order])
+
+    def _invalid(self) -> Iterate:
+        sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
+        gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
+        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
+
+
+def spectral_radius(values: list[PredictorValues]) -> float:
+    """Largest magnitude of the predictors' eigenvalues; infinite where they overflow."""
+    transitions = [v.F for v in values]
+    if not all(np.isfinite(F).all() for F in transitions):
+        return np.inf
+    return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
+
+
+def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
+    """Order entries by column, then row."""
+    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
+    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
+    order = np.lexsort((row, column))
+    return Pattern(shape, row[order], column[order], order)

@@ -1,0 +1,260 @@
+"""IPOPT on the shooting problem."""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.nlp.casadi_callback import Oracle
+from gbid.identify.nlp.hessian import Curvature, GaussNewton, StructuredSecant
+from gbid.identify.nlp.one_window import in_one_window, in_windows
+from gbid.identify.nlp.shooting import Iterate, Pattern, Shooting
+from gbid.identify.nlp.watch import PAPER_TOLERANCE, PATIENCE, Interrupt, Progress, Stop, Watch
+
+FloatArray = npt.NDArray[np.float64]
+
+UNSTABLE = (
+    "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
+)
+
+_WORDS = {
+    "Solve_Succeeded": "converged",
+    "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
+    "Feasible_Point_Found": "converged",
+    "Maximum_Iterations_Exceeded": "not converged: iteration limit reached; start nearer, hold or bound a parameter, "
+    "or allow more iterations",
+    "Restoration_Failed": "not converged: no step closes the gaps between windows; try other start values",
+    "Infeasible_Problem_Detected": "not converged: gaps between windows cannot be closed; try other start values",
+    "Search_Direction_Becomes_Too_Small": "not converged: steps became too small; a parameter may not be determined",
+    "Diverging_Iterates": "not converged: the iterates diverge; check bounds and start values",
+    "Invalid_Number_Detected": "not converged: the predictor overflows; start from a stable model",
+    "Error_In_Step_Computation": "not converged: the step cannot be computed; a parameter may not be determined",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Where the solver stopped, and why.
+
+    Attributes
+    ----------
+    unknowns : (n_unknowns,) array
+        Scaled.
+    status : str
+        In words.
+    success : bool
+    iterations : int
+    history : tuple of Progress
+    """
+
+    unknowns: FloatArray
+    status: str
+    success: bool
+    iterations: int
+    history: tuple[Progress, ...]
+
+
+def solve(
+    problem: Shooting,
+    start: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    *,
+    stop: Stop = "tolerance",
+    tolerance: float = 1e-6,
+    max_iterations: int = 100,
+    progress: Callable[[Progress], None] | None = None,
+) -> Solution:
+    """Minimise the cost with all gaps closed.
+
+    Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each piece
+    becomes one window, and what Gauss-Newton leaves out of the Hessian is learned on the way (`StructuredSecant`).
+
+    Parameters
+    ----------
+    problem : Shooting
+    start, lower, upper : (n_unknowns,) array
+        Start and bounds, scaled.
+    stop : {"tolerance", "paper"}
+        IPOPT's own test or a step far below the estimates' standard deviations, whichever is met first; or the
+        paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
+    tolerance : float
+        IPOPT's tolerance on the scaled optimality conditions.
+    max_iterations : int
+    progress : callable, optional
+        Called with each `Progress`.
+
+    Returns
+    -------
+    Solution
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C, once the iteration under way has ended.
+    """
+    with _interruptible() as interrupt:
+        watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
+        first = _run(problem, watch, (start, lower, upper), tolerance, max_iterations, GaussNewton(problem))
+        if not watch.creeping:
+            return first
+        joined, kept = in_one_window(problem)
+        box = (first.unknowns[kept], lower[kept], upper[kept])
+        watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
+        last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, StructuredSecant(joined))
+    return replace(
+        last,
+        unknowns=in_windows(problem, joined, last.unknowns),
+        iterations=first.iterations + last.iterations,
+        history=(*first.history, *last.history[1:]),
+    )
+
+
+def _run(
+    problem: Shooting,
+    watch: Watch,
+    box: tuple[FloatArray, FloatArray, FloatArray],
+    tolerance: float,
+    max_iterations: int,
+    curvature: Curvature,
+) -> Solution:
+    """Run IPOPT once from a start within bounds."""
+    start, lower, upper = box
+    solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature)
+    if not watch.interrupt.pressed:
+        closed = np.zeros(problem.n_gaps)
+        _, lowest, highest = problem.limits
+        bounds = {"lbg": np.concatenate([closed, lowest]), "ubg": np.concatenate([closed, highest])}
+        result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
+    if watch.interrupt.pressed:
+        raise KeyboardInterrupt
+    unknowns = np.asarray(result["x"], float).ravel()
+    words, success = _in_words(str(solver.stats()["return_status"]), watch)
+    if not np.isfinite(unknowns).all():
+        unknowns, success = np.asarray(start, float), False
+    return Solution(unknowns, words, success, int(solver.stats()["iter_count"]), tuple(watch.history))
+
+
+def _ipopt(
+    problem: Shooting, watch: Watch, tolerance: float, max_iterations: int, curvature: Curvature
+) -> tuple[ca.Function, list[Oracle]]:
+    """Build the solver; also return the callbacks, which must outlive it."""
+    n, m = problem.n_unknowns, problem.n_gaps
+    vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
+    limits = ca.sparsify(ca.DM(np.pad(problem.limits[0], ((0, 0), (0, n - problem.n_theta)))))
+    constraints = ca.Sparsity.dense(m + limits.rows(), 1)
+    gaps, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
+    jacobian = ca.vertcat(gaps, limits.sparsity())
+    point = [("x", vector), ("p", empty)]
+    multipliers = [("lam_f", scalar), ("lam_g", constraints)]
+
+    def flat(values: ca.DM) -> FloatArray:
+        return np.asarray(values, float).ravel()
+
+    def at(x: ca.DM) -> Iterate:
+        return problem.at(flat(x))
+
+    def held(x: ca.DM) -> ca.DM:
+        return ca.vertcat(ca.DM(at(x).gaps), limits @ x)
+
+    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], lambda x: [at(x).cost, held(x)])
+    gradient = Oracle(
+        "grad_f",
+        point,
+        [("f", scalar), ("grad_f_x", vector)],
+        lambda x, _p: [at(x).cost, at(x).gradient],
+    )
+    jac = Oracle(
+        "jac_g",
+        point,
+        [("g", constraints), ("jac_g_x", jacobian)],
+        lambda x, _p: [held(x), ca.vertcat(ca.DM(gaps, at(x).jacobian), limits)],
+    )
+    hess = Oracle(
+        "hess_lag",
+        point + multipliers,
+        [("triu_hess_gamma_x_x", hessian)],
+        lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)[:m]))],
+    )
+    x = ca.MX.sym("x", n)
+    f, g = value(x)
+    options: dict[str, Any] = {
+        "no_nlp_grad": True,
+        "grad_f": gradient,
+        "jac_g": jac,
+        "hess_lag": hess,
+        "iteration_callback": watch,
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt": {
+            "print_level": 0,
+            "sb": "yes",
+            "tol": tolerance,
+            "constr_viol_tol": tolerance,
+            "dual_inf_tol": tolerance,
+            "acceptable_tol": 10 * tolerance,
+            "acceptable_iter": 15,
+            "max_iter": max_iterations,
+            "nlp_scaling_method": "none",
+            "mu_init": 1e-6,
+            "bound_push": 1e-8,
+            "bound_frac": 1e-8,
+            "bound_relax_factor": 0.0,
+        },
+    }
+    solver = ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options)
+    return solver, [value, gradient, jac, hess]
+
+
+def _in_words(status: str, watch: Watch) -> tuple[str, bool]:
+    """Say why the solver stopped, and whether that is a success."""
+    if status == "User_Requested_Stop":
+        if watch.settled:
+            return f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+        if watch.unstable >= PATIENCE:
+            return UNSTABLE, False
+        if watch.stuck >= PATIENCE:
+            return _WORDS["Search_Direction_Becomes_Too_Small"], False
+        if watch.at_rest:
+            return "converged", True
+        if watch.exact:
+            return "converged: the errors are at rounding", True
+    words = _WORDS.get(status, f"not converged: IPOPT says {status}")
+    return words, words.startswith("converged")
+
+
+def _sparsity(pattern: Pattern) -> ca.Sparsity:
+    """Return the pattern as CasADi keeps it: columns with rows in order."""
+    counts = np.bincount(pattern.columns, minlength=pattern.shape[1])
+    return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
+
+
+@contextmanager
+def _interruptible() -> Iterator[Interrupt]:
+    """Let Ctrl-C end the solver at its next iteration, where all is in order, instead of within a callback.
+
+    Not where Ctrl-C is ignored already: in a worker, whose runner hears it and ends the worker.
+    """
+    interrupt = Interrupt()
+    heard = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN
+    if not heard:
+        yield interrupt
+        return
+
+    def note(_signal: int, _frame: Any) -> None:
+        interrupt.pressed = True
+
+    previous = signal.signal(signal.SIGINT, note)
+    try:
+        yield interrupt
+    finally:
+        signal.signal(signal.SIGINT, previous)

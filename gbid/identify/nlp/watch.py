@@ -1,0 +1,185 @@
+"""What is looked at in each iteration of the solver: progress, when to stop, Ctrl-C."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.identify.nlp.shooting import Shooting, spectral_radius
+
+FloatArray = npt.NDArray[np.float64]
+Stop = Literal["tolerance", "paper"]
+PAPER_TOLERANCE = 1e-4
+_GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule is believed
+_STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
+PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too, or stand still
+_STEP_AHEAD = 1e-2  # of the same: what Gauss-Newton may still want, which is a part of what is needed or more
+_ROUNDING = 1e-12  # of the largest curvature: for unknowns that the data do not tell
+_AT_BOUND = 1e-4  # scaled
+_NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
+_NEAR_GAP = 0.1
+_AHEAD = 7  # iterations that are worth a change of method
+_STEP_BEFORE = 1e-2
+_EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
+
+
+@dataclass(frozen=True)
+class Progress:
+    """One iteration of a solver, for a progress line.
+
+    Attributes
+    ----------
+    iteration : int
+        From zero, the start.
+    cost : float
+        Scaled cost.
+    gap : float
+        Largest gap between windows, in units of the states' size.
+    step : float
+        Relative change of the scaled parameters since the last iteration.
+    sigma : float
+        The last step of all unknowns in standard deviations of the estimate.
+    """
+
+    iteration: int
+    cost: float
+    gap: float
+    step: float
+    sigma: float
+
+
+@dataclass
+class Interrupt:
+    """Whether Ctrl-C has been pressed."""
+
+    pressed: bool = False
+
+
+class Watch(ca.Callback):
+    """Called at each iteration: reports, applies the paper's stopping rule, answers Ctrl-C."""
+
+    def __init__(
+        self,
+        problem: Shooting,
+        stop: Stop,
+        progress: Callable[[Progress], None] | None,
+        interrupt: Interrupt,
+        box: tuple[FloatArray, FloatArray],
+        *,
+        earlier: Sequence[Progress] = (),
+        changes_over: bool = False,
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
+        n, m = problem.n_unknowns, problem.n_gaps + len(problem.limits[0])
+        sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
+        self._shapes = [
+            ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
+            for name in map(ca.nlpsol_out, range(ca.nlpsol_n_out()))
+        ]
+        self.history: list[Progress] = []
+        self._box, self._earlier, self._changes_over = box, tuple(earlier), changes_over
+        self.settled = False
+        self.exact = False
+        self.at_rest = False
+        self.creeping = False
+        self.unstable = 0
+        self.stuck = 0
+        self._previous: FloatArray | None = None
+        self._sigma = np.inf
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return len(self._shapes)
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return self._shapes[i]
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
+        values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
+        x = np.asarray(values["x"], float).ravel()
+        gaps = np.asarray(values["g"], float).ravel()[: self._problem.n_gaps]
+        step = sigma = np.inf
+        if self._previous is not None:
+            moved, n_theta = x - self._previous, self._problem.n_theta
+            step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
+            sigma = self._in_standard_deviations(x, moved)
+        gap = float(np.abs(gaps).max(initial=0.0))
+        done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
+        now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
+        self.history.append(now)
+        if self._progress is not None and not (self._earlier and len(self.history) == 1):
+            self._progress(now)
+        self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
+        self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
+        # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
+        small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
+        still = small and self._stop == "tolerance"
+        self.at_rest = still and self._nothing_to_gain(x)
+        self.stuck = self.stuck + 1 if still and not self.at_rest else 0
+        near = sigma < _NEAR and now.gap < _NEAR_GAP
+        self.creeping = self._changes_over and near and _iterations_ahead(sigma, self._sigma) > _AHEAD
+        self.creeping = self.creeping and self._radius(x) < 1
+        self._previous, self._sigma = x, sigma
+        self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
+        ended = self.settled or self.exact or self.at_rest or self.creeping
+        given_up = max(self.unstable, self.stuck) >= PATIENCE
+        return [int(self.interrupt.pressed or ended or given_up)]
+
+    def _nothing_to_gain(self, x: FloatArray) -> bool:
+        """Whether Gauss-Newton would hardly move from here.
+
+        Where the solver has another Hessian, its steps may be small as this is wrong, not as the minimum is reached.
+        At the edge of an unstable predictor there is no minimum to reach, which the result says.
+        """
+        problem, iterate = self._problem, self._problem.at(x)
+        if self._changes_over or problem.at_edge(problem.unpack(x)[0]):
+            return True
+        limits, low, high = problem.limits
+        values = limits @ x[: problem.n_theta]
+        met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+        n, m = problem.n_unknowns, problem.n_gaps + len(met)
+        system = np.zeros((n + m, n + m))
+        upper, across = problem.hessian_pattern, problem.jacobian_pattern
+        system[upper.rows, upper.columns] = system[upper.columns, upper.rows] = iterate.hessian
+        system[n + across.rows, across.columns] = system[across.columns, n + across.rows] = iterate.jacobian
+        system[n + problem.n_gaps :, : problem.n_theta] = met
+        system[: problem.n_theta, n + problem.n_gaps :] = met.T
+        round_off = _ROUNDING * iterate.hessian.max()
+        system[np.arange(n + m), np.arange(n + m)] += np.repeat([round_off, -round_off], [n, m])
+        lowest, highest = self._box
+        free = (x > lowest + _AT_BOUND) & (x < highest - _AT_BOUND)
+        kept = np.concatenate([free, np.ones(m, dtype=bool)])
+        slope = np.concatenate([iterate.gradient, iterate.gaps, np.zeros(len(met))])
+        step = np.zeros(n)
+        step[free] = np.linalg.solve(system[np.ix_(kept, kept)], -slope[kept])[: np.count_nonzero(free)]
+        return self._in_standard_deviations(x, step) < _STEP_AHEAD
+
+    def _radius(self, x: FloatArray) -> float:
+        theta, _ = self._problem.unpack(x)
+        return spectral_radius(self._problem.values(theta))
+
+    def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
+        """Length of a step in the metric of the information at its end."""
+        pattern, entries = self._problem.hessian_pattern, self._problem.at(x).hessian
+        twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
+        square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
+        return float(np.sqrt(max(square, 0.0) * self._problem.likelihood_size)) if np.isfinite(square) else np.inf
+
+
+def _iterations_ahead(sigma: float, before: float) -> float:
+    """Count the iterations until steps are below the tolerance, were they to shrink as the last one did."""
+    if not sigma < before:
+        return np.inf
+    return float(np.log(max(sigma / _STEP_TOLERANCE, 1.0)) / np.log(before / max(sigma, 1e-300)))

@@ -1,0 +1,1 @@
+"""One table of many fits, and its file."""

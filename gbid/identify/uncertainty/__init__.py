@@ -1,0 +1,1 @@
+"""Covariance of estimates for white and for coloured errors."""

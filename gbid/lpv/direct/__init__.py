@@ -1,0 +1,1 @@
+"""Surfaces over pressure and speed fitted to the recordings themselves (direct)."""

@@ -1,0 +1,124 @@
+"""The one-shot fit's nonlinear programme, for a given scatter between recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.discretise import Hold
+from gbid.identify.data import FitData
+from gbid.identify.kernel.engine import EngineName
+from gbid.identify.nlp.assembly import Scope, assemble, full_start
+from gbid.identify.nlp.nlp_problem import build_problem, unknown_bounds
+from gbid.identify.nlp.solver import Solution, solve
+from gbid.identify.nlp.watch import Progress
+from gbid.identify.predictor import Focus
+from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
+from gbid.lpv.direct.gains import Gains
+from gbid.lpv.direct.setting import Setting
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class How:
+    """How the programme is made and solved; see `gbid.fit_lpv_direct`."""
+
+    focus: Focus
+    hold: Hold | Sequence[Hold]
+    engine: EngineName
+    max_iterations: int
+    progress: Callable[[Progress], None] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Where the programme ended.
+
+    Attributes
+    ----------
+    shared : (n_shared,) array
+        Coefficients in orthogonal terms, then actuators.
+    values : (n, n_names) array
+        Parameters of each recording.
+    information : list of RecordInformation
+        What each recording says of them, its gain and initial state eliminated.
+    gains : Gains
+        Where the gains ended.
+    solution : Solution
+    engine : str
+    """
+
+    shared: FloatArray
+    values: FloatArray
+    information: list[RecordInformation]
+    gains: Gains
+    solution: Solution
+    engine: str
+
+
+def solve_for(
+    setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains, how: How
+) -> Solved:
+    """Minimise the prediction errors of all recordings over what they share and what each has for itself.
+
+    Where gains that are free lead to the edge of an unstable predictor, it is solved again with all of them held
+    where they started; the status says so.
+    """
+    ties = setting.ties(scatter)
+    at_first = dict(zip(setting.names, (setting.X[0] @ shared).tolist(), strict=True))
+    parameters = tuple(q if q.fixed else replace(q, start=at_first.get(q.name, 0.0)) for q in setting.parameters)
+    begin = {q.name: float(q.start or 0.0) for q in parameters}
+    local: dict[str, Scope] = dict.fromkeys(setting.gains if how.focus == "prediction" else (), "recording")
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        assembly = assemble(
+            setting.structure,
+            parameters,
+            begin,
+            data,
+            intersample=how.hold,
+            focus=how.focus,
+            horizon=1,
+            offsets=False,
+            local=local,
+            left_out={},
+            window=None,  # the start is near: no need for windows within a recording
+            engine=how.engine,
+            ties=ties,
+        )
+        full = full_start(assembly, begin, gains.values)
+        full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
+        prior = {q.name: (0.0, 1.0) for q in ties.own}
+        problem, unknowns = build_problem(assembly, data, "trace", None, full, prior, scaling=True)
+        lower, upper = unknown_bounds(problem, assembly, "estimated")
+        position = {q.name: i for i, q in enumerate(assembly.free)}
+        places = [[position[names[key]] for key in local] for names in assembly.record_names]
+        for held in (gains.held, np.ones(len(gains.held), dtype=bool)):
+            still = [place for own, stays in zip(places, held, strict=True) if stays for place in own]
+            lower[still] = upper[still] = unknowns[still]
+            first = np.clip(unknowns, lower, upper)
+            solution = solve(problem, first, lower, upper, max_iterations=how.max_iterations, progress=how.progress)
+            if solution.success or not local or held.all():
+                break
+        theta, starts = problem.unpack(solution.unknowns)
+        own = [q.name for q in problem.parts[0].predictor.free]
+        kept = np.array([own.index(name) for name in setting.names])
+        whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
+    if local and held.all() and not gains.held.all():
+        solution = replace(solution, status=f"{solution.status}, with the disturbance gains held")
+    ended = [
+        {name: float(theta[place]) for name, place in zip(local, own_places, strict=True)} or values
+        for own_places, values in zip(places, gains.values, strict=True)
+    ]
+    off = np.array([[theta[position[names[q.name]]] for q in ties.own] for names in assembly.record_names])
+    return Solved(
+        theta[: len(ties.shared)],
+        setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
+        [profiled(each, kept) for each in whole],
+        replace(gains, values=ended, held=held),
+        solution,
+        assembly.engine,
+    )

@@ -1,0 +1,1 @@
+"""Surfaces over pressure and speed fitted to many models (two-step)."""

@@ -1,0 +1,112 @@
+"""Which order the surfaces need: by prediction of operating points that were left out, and by lack of fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import fdtrc
+
+from gbid.errors import DataError
+from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class OrderScore:
+    """How well polynomials of one order predict operating points that they were not fitted to.
+
+    Attributes
+    ----------
+    order : int
+    rms : (14,) array
+        Of estimate minus prediction over all recordings, each predicted from the other operating points; SI per
+        kg. nan where the operating points do not carry the order.
+    score : float
+        Geometric mean over the parameters, relative to the lowest order; below one is better.
+    why_not : str
+        Why the order is not possible; else empty.
+    """
+
+    order: int
+    rms: FloatArray
+    score: float
+    why_not: str = ""
+
+
+def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, ...]:
+    """Leave one operating point out at a time, for orders 0 to 3.
+
+    Parameters
+    ----------
+    points : (n, 2) array
+        Pressure [bar] and speed [rpm].
+    values : (n, k) array
+
+    Returns
+    -------
+    tuple of OrderScore
+    """
+    scores: list[OrderScore] = []
+    lowest = np.nan
+    for order in range(HIGHEST_ORDER + 1):
+        try:
+            rms = _left_out(points, values, exponents_of(order))
+        except DataError as error:
+            scores.append(OrderScore(order, np.full(values.shape[1], np.nan), np.nan, str(error)))
+            continue
+        level = float(np.mean(np.log(np.maximum(rms, 1e-300))))
+        lowest = level if np.isnan(lowest) else lowest
+        scores.append(OrderScore(order, rms, float(np.exp(level - lowest))))
+    return tuple(scores)
+
+
+def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
+    """Return the order that predicts best, up to `highest`.
+
+    Raises
+    ------
+    DataError
+        When no order is possible.
+    """
+    possible = [s for s in scores if s.order <= highest and np.isfinite(s.score)]
+    if not possible:
+        raise DataError(f"order = 'auto': no order can be compared ({scores[0].why_not})")
+    return min(possible, key=lambda s: s.score).order
+
+
+def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
+    """Probability that surfaces miss the operating points' means by as much if they were right, (k,).
+
+    The classical F test: what the points' means lie off the surface against what recordings of one point scatter.
+    nan without repeated recordings or without more points than terms.
+    """
+    _, group = np.unique(points, axis=0, return_inverse=True)
+    group = group.ravel()
+    n_points, n = int(group.max()) + 1, len(points)
+    if n == n_points or n_points == len(exponents):
+        return np.full(values.shape[1], np.nan)
+    counts = np.bincount(group)[:, None]
+    means = np.stack([np.bincount(group, column) for column in values.T], axis=-1) / counts
+    Q = orthonormal(points, exponents).columns
+    surface = Q @ np.linalg.lstsq(Q, values, rcond=None)[0]
+    pure = ((values - means[group]) ** 2).sum(axis=0) / (n - n_points)
+    missed = ((means[group] - surface) ** 2).sum(axis=0) / (n_points - len(exponents))
+    ratio = np.divide(missed, pure, out=np.full(len(pure), np.inf), where=pure > 0)
+    return np.asarray(fdtrc(n_points - len(exponents), n - n_points, ratio))
+
+
+def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
+    distinct, group = np.unique(points, axis=0, return_inverse=True)
+    group = group.ravel()
+    check_points(points, exponents)
+    columns = orthonormal(points, exponents).columns
+    errors = np.empty_like(values)
+    for i in range(len(distinct)):
+        out = group == i
+        check_points(points[~out], exponents)
+        found = np.linalg.lstsq(columns[~out], values[~out], rcond=None)[0]
+        errors[out] = values[out] - columns[out] @ found
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))

@@ -1,0 +1,124 @@
+"""Fits that lie off the surfaces: named by a robust rule, and held down where that is asked for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr, ndtri
+
+from gbid.lpv.surface_fit.mixed import generalised, with_scatter
+from gbid.structure import KEY_PARAMETERS
+
+FloatArray = npt.NDArray[np.float64]
+_MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
+_LEAST = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
+_FALSE_ALARM = 0.05  # probability that any of all entries is named when all is normal
+HUBER = 1.345  # standard deviations; 95 % efficient for normal errors (Huber, Robust Statistics, 1981)
+CLIPPING_SLOPE = 1 - 2 * float(ndtr(-HUBER))  # mean slope of the clipping, and variance of a clipped normal variable:
+_DENSITY = float(np.exp(-(HUBER**2) / 2) / np.sqrt(2 * np.pi))  # of a normal variable at HUBER
+_VARIANCE = CLIPPING_SLOPE - 2 * HUBER * _DENSITY + 2 * HUBER**2 * float(ndtr(-HUBER))
+_ROUNDS, _SETTLED = 30, 1e-2  # of a standard deviation
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A recording that lies off the surface of one key parameter.
+
+    Attributes
+    ----------
+    recording, parameter : str
+    deviation : float
+        Estimate minus surface, SI per kg.
+    standardised : float
+        The same in robust standard deviations.
+    """
+
+    recording: str
+    parameter: str
+    deviation: float
+    standardised: float
+
+
+def standardised(residuals: FloatArray, V: FloatArray) -> FloatArray:
+    """Residuals (n, k) over their standard deviations, whose scale the median of each column sets.
+
+    `V` (n, k, k) says how the rows compare; an outlier that has blown it up does not hide behind it.
+    """
+    z = residuals / np.sqrt(np.einsum("ikk->ik", V))
+    return np.asarray(z / _scale(z))
+
+
+def _scale(z: FloatArray) -> FloatArray:
+    return np.maximum(_MAD * np.median(np.abs(z), axis=0), 1e-12)
+
+
+def threshold(count: int) -> float:
+    """Standardised residual beyond which an entry is an outlier.
+
+    3.5, or more where so many entries are looked at that normal ones would go beyond by chance.
+    """
+    return max(_LEAST, float(-ndtri(_FALSE_ALARM / (2 * count))))
+
+
+def outliers(recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray) -> tuple[Outlier, ...]:
+    """Name the entries of (n, 14) arrays beyond the threshold, worst first."""
+    limit = threshold(z.size)
+    found = [
+        Outlier(recordings[i], KEY_PARAMETERS[j], float(residuals[i, j]), float(z[i, j]))
+        for i, j in zip(*np.nonzero(np.abs(z) > limit), strict=True)
+    ]
+    return tuple(sorted(found, key=lambda o: -abs(o.standardised)))
+
+
+class HeldDown(NamedTuple):
+    """Huber's estimate.
+
+    Attributes
+    ----------
+    coefficients : (m,) array
+    scatter : (k, k) array
+        What the clipping took from it restored.
+    clipped : (n, k) array
+        The data with residuals clipped.
+    cost : float
+        Factor on the coefficients' covariance: what the clipping costs.
+    """
+
+    coefficients: FloatArray
+    scatter: FloatArray
+    clipped: FloatArray
+    cost: float
+
+
+def held_down(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HeldDown:
+    """Huber's estimate by modified residuals: what lies beyond 1.345 standard deviations counts as that far.
+
+    Parameters
+    ----------
+    y : (n, k) array
+    X : (n, k, m) array
+    C : (n, k, k) array or None
+        Own covariance of each row, to which scatter is added; None for rows that weigh alike.
+    """
+    n, k = y.shape
+    S = np.zeros((k, k)) if C is None else with_scatter(y, X, C).scatter
+    V = np.broadcast_to(np.eye(k), (n, k, k)) if C is None else C + S
+    coefficients, clipped = generalised(y, X, V).coefficients, y
+    for _ in range(_ROUNDS):
+        surface = X @ coefficients
+        sigma = np.sqrt(np.einsum("ikk->ik", V))
+        size = HUBER * sigma * _scale((y - surface) / sigma)
+        inside = np.clip(y - surface, -size, size)
+        clipped = surface + inside
+        if C is not None:
+            S = with_scatter(surface + inside / np.sqrt(_VARIANCE), X, C, start=S).scatter
+            V = C + S
+        fit = generalised(clipped, X, V)
+        moved = np.abs(fit.coefficients - coefficients) / np.sqrt(np.diag(fit.covariance))
+        coefficients = fit.coefficients
+        if moved.max() < _SETTLED:
+            break
+    return HeldDown(coefficients, S, clipped, _VARIANCE / CLIPPING_SLOPE**2)

@@ -1,0 +1,1 @@
+"""Motion of the rig's machine, sample by sample or in closed form."""

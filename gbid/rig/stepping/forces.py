@@ -1,0 +1,105 @@
+"""Forces on the rotor beside the film's and the piezos': unbalance, impacts, whirl and noise, per moving mass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.recording import FloatArray
+from gbid.rig.excitation.hammer import Hammer
+from gbid.rig.excitation.run_up import Turning
+from gbid.rig.machine.machine import Machine
+from gbid.rig.stepping.response import unbalance_orbit
+
+
+@dataclass(frozen=True, eq=False)
+class Forces:
+    """Forces per moving mass as a function of time; what is random in them lies on the samples.
+
+    A random sequence is a straight line between samples, so that it does not depend on the step.
+
+    Attributes
+    ----------
+    machine : Machine
+    turning : Turning
+    sample_time : float
+    n_settle : int
+        Samples before the logger starts, which is time zero.
+    noise : (n + 1, 2) array or None
+        Process noise at the samples [m/s^2].
+    whirl : (n + 1,) complex array or None
+        z of `NonSynchronous` at the samples.
+    hammer : Hammer or None
+    """
+
+    machine: Machine
+    turning: Turning
+    sample_time: float
+    n_settle: int = 0
+    noise: FloatArray | None = None
+    whirl: np.ndarray | None = None
+    hammer: Hammer | None = None
+
+    def between(self, first: int, last: int, oversampling: int) -> FloatArray:
+        """Give the forces from one sample to another, at the steps and half-way between.
+
+        Returns
+        -------
+        (2 (last - first) oversampling + 1, 2) array
+            [m/s^2].
+        """
+        count = 2 * (last - first) * oversampling
+        at = first + np.arange(count + 1) / (2 * oversampling)  # in samples
+        time = (at - self.n_settle) * self.sample_time
+        force = self._unbalance(time)
+        if self.hammer is not None:
+            force += self.hammer.force(time) / self.machine.moving_mass
+        index = np.minimum(at.astype(int), last - 1)
+        part = (at - index)[:, None]
+        if self.noise is not None:
+            force += (1 - part) * self.noise[index] + part * self.noise[index + 1]
+        if self.whirl is not None and self.machine.non_synchronous is not None:
+            z = (1 - part[:, 0]) * self.whirl[index] + part[:, 0] * self.whirl[index + 1]
+            rule = self.machine.non_synchronous
+            z = rule.size_at(self.turning.speed_at(time)) * z * np.exp(1j * rule.ratio * self.turning.angle(time))
+            force -= np.column_stack([z.real, z.imag]) @ self.machine.rotor_bearing.stiffness.T
+        return np.ascontiguousarray(force)
+
+    def orbit_at_start(self) -> tuple[FloatArray, FloatArray]:
+        """Position [m] and velocity [m/s] of the unbalance orbit when the simulation begins."""
+        time = np.array([-self.n_settle * self.sample_time])
+        angle, speed = self.turning.angle(time), float(self.turning.speed_at(time)[0])
+        rotor, unbalance = self.machine.rotor_bearing, self.machine.unbalance
+        turned = unbalance_orbit(rotor, unbalance, speed, np.concatenate([angle, angle + np.pi / 2]))
+        return turned[0], speed * turned[1]
+
+    def _unbalance(self, time: FloatArray) -> FloatArray:
+        """Force of an eccentric mass on a shaft that turns at any speed."""
+        unbalance = self.machine.unbalance
+        angle = self.turning.angle(time) + unbalance.phase
+        outward = unbalance.eccentricity * self.turning.speed_at(time) ** 2
+        along = unbalance.eccentricity * self.turning.acceleration_at(time)
+        c, s = np.cos(angle), np.sin(angle)
+        return np.column_stack([outward * c + along * s, outward * s - along * c])
+
+
+def draw_noise(machine: Machine, n: int, sample_time: float, random: np.random.Generator) -> FloatArray | None:
+    """Draw the process noise at n + 1 samples [m/s^2]; None without any."""
+    if machine.process_noise is None or machine.process_noise.density == 0:
+        return None
+    deviation = machine.process_noise.density / np.sqrt(2 * sample_time)
+    return np.asarray(deviation * random.standard_normal((n + 1, 2)))
+
+
+def draw_whirl(machine: Machine, n: int, sample_time: float, random: np.random.Generator) -> np.ndarray | None:
+    """Draw z of the non-synchronous motion at n + 1 samples, stationary; None without any."""
+    rule = machine.non_synchronous
+    if rule is None or rule.size == 0:
+        return None
+    pole = np.exp(-2 * np.pi * rule.bandwidth_hz * sample_time)
+    white = random.standard_normal((n + 1, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)
+    white[1:] *= np.sqrt(1 - pole**2)
+    from scipy.signal import lfilter  # slow to import, and seldom needed
+
+    return np.asarray(lfilter([1.0], [1.0, -pole], white))

@@ -1,0 +1,172 @@
+r"""Exact motion of actuators and rotor between and at the samples.
+
+The references are held constant over each sample (a DAC puts them out), and everything behind them is linear.
+The delays commute with the rotor, so each axis j is one chain of six states
+
+.. math::
+
+    \dot a = p_1 (\kappa r_j - a), \quad \dot u = p_2 (a - u), \quad
+    \ddot q = K q + D \dot q + B_{\cdot j} u, \qquad p(t) = q_x(t - \tau_x) + q_y(t - \tau_y).
+
+With r held, a matrix exponential carries the states from sample to sample and to any instant between, so u
+and p are exact to rounding at every time and for every real delay: no grid enters, no Pade.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import expm
+
+from gbid.errors import UsageError
+from gbid.recording import FloatArray
+from gbid.rig.machine.machine import ActuatorTruth, RotorBearingTruth, Unbalance
+from gbid.threads import one_blas_thread
+
+MIN_OVERSAMPLING = 20
+_U, _P = 1, slice(2, 4)  # states of one chain: a, u, q_x, q_y, their velocities; the held input last
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """True motion on a fine grid, no sensors in between.
+
+    Attributes
+    ----------
+    time : (n,) array
+        Times from zero [s].
+    u : (n, 2) array
+        Differences of piezo positions [m].
+    p : (n, 2) array
+        Disc position [m].
+    """
+
+    time: FloatArray
+    u: FloatArray
+    p: FloatArray
+
+
+def driven_motion(
+    rotor_bearing: RotorBearingTruth,
+    actuator: ActuatorTruth,
+    reference: FloatArray,
+    sample_time: float,
+    oversampling: int = MIN_OVERSAMPLING,
+) -> Motion:
+    """Answer of actuators and rotor to held references, starting at rest.
+
+    Parameters
+    ----------
+    rotor_bearing : RotorBearingTruth
+        Rotor and bearing.
+    actuator : ActuatorTruth
+        Piezo pairs.
+    reference : (n_samples, 2) array
+        r [m]; row k is held from k to k + 1 samples.
+    sample_time : float
+        Sample time [s].
+    oversampling : int
+        Points of the answer per sample, at least 20. It chooses where the exact answer is looked at, not how
+        exact it is.
+
+    Returns
+    -------
+    Motion
+        At n_samples * oversampling instants; every `oversampling`-th is a sample.
+
+    Raises
+    ------
+    UsageError
+        When `oversampling` is below 20.
+    """
+    if oversampling < MIN_OVERSAMPLING:
+        raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
+    # Matrices of this size gain nothing from BLAS threads, which on a busy machine made it ten times slower.
+    with one_blas_thread():
+        u, p = _positions(rotor_bearing, actuator, reference, sample_time, oversampling)
+    time = np.arange(len(u), dtype=float) * (sample_time / oversampling)
+    return Motion(time, u, p)
+
+
+def unbalance_orbit(
+    rotor_bearing: RotorBearingTruth, unbalance: Unbalance, speed: float, angle: FloatArray
+) -> FloatArray:
+    r"""Stationary answer of the rotor to its unbalance.
+
+    The force per mass is :math:`e \Omega^2 [\cos(\phi + \theta), \sin(\phi + \theta)]`, its answer the
+    frequency response :math:`(-\Omega^2 I - i\Omega D - K)^{-1}`: exact once the start has died out.
+
+    Parameters
+    ----------
+    rotor_bearing : RotorBearingTruth
+        Rotor and bearing.
+    unbalance : Unbalance
+        The unbalance.
+    speed : float
+        Omega [rad/s].
+    angle : (n,) array
+        Shaft angle phi = Omega t + phi_0 [rad].
+
+    Returns
+    -------
+    (n, 2) array
+        Disc position [m].
+    """
+    force = unbalance.eccentricity * speed**2 * np.exp(1j * unbalance.phase) * np.array([1.0, -1j])
+    dynamic = -(speed**2) * np.eye(2) - 1j * speed * rotor_bearing.damping - rotor_bearing.stiffness
+    return np.asarray(np.outer(np.exp(1j * angle), np.linalg.solve(dynamic, force)).real)
+
+
+def _positions(
+    rotor_bearing: RotorBearingTruth,
+    actuator: ActuatorTruth,
+    reference: FloatArray,
+    sample_time: float,
+    oversampling: int,
+) -> tuple[FloatArray, FloatArray]:
+    """Piezo and disc positions on the fine grid."""
+    n_samples = len(reference)
+    chains = [_chain(rotor_bearing, actuator, axis) for axis in range(2)]
+    at_samples = _states_at_samples(chains, reference, sample_time)
+    u = np.zeros((n_samples, oversampling, 2))
+    p = np.zeros((n_samples, oversampling, 2))
+    for axis, (chain, states) in enumerate(zip(chains, at_samples, strict=True)):
+        delay = float(rotor_bearing.delay[axis])
+        for point in range(oversampling):
+            since = sample_time * point / oversampling
+            u[:, point, axis] = states @ expm(chain * since)[_U]
+            # p shows the state of one delay ago: `late` samples back, and `ahead` seconds on from there.
+            late = int(np.ceil((delay - since) / sample_time - 1e-12))
+            ahead = max(late * sample_time + since - delay, 0.0)
+            if late < n_samples:
+                p[late:, point] += states[: n_samples - late] @ expm(chain * ahead)[_P].T
+    return u.reshape(-1, 2), p.reshape(-1, 2)
+
+
+def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int) -> FloatArray:
+    """System matrix of one axis with its held input as a seventh, constant state."""
+    slow, fast = actuator.slow_pole[axis], actuator.fast_pole[axis]
+    matrix = np.zeros((7, 7))
+    matrix[0, 0], matrix[0, 6] = -slow, slow * actuator.gain[axis]
+    matrix[1, 0], matrix[1, 1] = fast, -fast
+    matrix[2:4, 4:6] = np.eye(2)
+    matrix[4:6, 1] = rotor_bearing.input_gain[:, axis]
+    matrix[4:6, 2:4] = rotor_bearing.stiffness
+    matrix[4:6, 4:6] = rotor_bearing.damping
+    return matrix
+
+
+def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_time: float) -> list[FloatArray]:
+    """States of both chains at the samples, from rest, each (n_samples, 7) with r in the last column."""
+    step = np.zeros((12, 12))
+    drive = np.zeros((12, 2))
+    for axis, chain in enumerate(chains):
+        whole = expm(chain * sample_time)
+        rows = slice(6 * axis, 6 * axis + 6)
+        step[rows, rows], drive[rows, axis] = whole[:6, :6], whole[:6, 6]
+    states = np.zeros((len(reference), 12))
+    pushes = reference @ drive.T
+    for k in range(len(reference) - 1):
+        states[k + 1] = step @ states[k] + pushes[k]
+    return [np.column_stack([states[:, 6 * j : 6 * j + 6], reference[:, j]]) for j in range(2)]

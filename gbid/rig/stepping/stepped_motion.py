@@ -1,0 +1,206 @@
+"""Motion of a machine that is not linear, or in a loop, step by step: compiled where there is a C compiler."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from gbid.compiling import CompilerMissingError, load_library
+from gbid.errors import UsageError
+from gbid.recording import FloatArray
+from gbid.rig.excitation.staircase import StackStaircase
+from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.machine import Machine
+from gbid.rig.machine.piezo import PiezoStacks
+from gbid.rig.stepping.forces import Forces
+from gbid.rig.stepping.python_twin import run_in_python
+from gbid.rig.stepping.response import MIN_OVERSAMPLING
+from gbid.rig.stepping.step_arrays import ROW, ROW_WIDTH, Chunk, StepArrays, StepState, rest_state, step_arrays
+from gbid.rig.stepping.step_source import SOURCE
+
+RigEngine = Literal["auto", "compiled", "python"]
+_CHUNK = 2000
+"""Samples stepped at once: forces on the fine grid stay in the cache's reach, memory small."""
+
+
+@dataclass(frozen=True, eq=False)
+class SteppedMotion:
+    """What the stepping simulation gives, a row a sample.
+
+    Attributes
+    ----------
+    r, u, p : (n, 2) array
+        References as applied, differences of stack positions, disc position [m].
+    seen : (n, 2) array
+        Disc position as the probes show it [m].
+    stacks, volts, told : (n, 4) array
+        Stack positions [m], voltages [V], references (or volts, open loop); zero for linear actuators.
+    ended : (n, 4) array
+        Share of each sample that a stack's voltage or expansion was at an end.
+    radius : (n,) array
+        Largest distance of the disc from the centre within each sample [m].
+    how : str
+        Which engine, and why not the compiled one.
+    """
+
+    r: FloatArray
+    u: FloatArray
+    p: FloatArray
+    seen: FloatArray
+    stacks: FloatArray
+    volts: FloatArray
+    told: FloatArray
+    ended: FloatArray
+    radius: FloatArray
+    how: str
+
+
+def stepped_motion(
+    machine: Machine,
+    excitation: FloatArray,
+    forces: Forces,
+    sensor: FloatArray,
+    sample_time: float,
+    *,
+    controller: SampledController | None = None,
+    taken: FloatArray | None = None,
+    stack_run: StackStaircase | None = None,
+    n_settle: int = 0,
+    oversampling: int = MIN_OVERSAMPLING,
+    wall: bool = True,
+    engine: RigEngine = "auto",
+) -> SteppedMotion:
+    """Simulate by classical Runge-Kutta steps of sample_time/oversampling.
+
+    References are held over each sample; the delayed u is a straight line between steps; unbalance and other
+    forces are taken at the steps and half-way between. Stacks start at rest under r_0, the rotor on its orbit.
+
+    Parameters
+    ----------
+    machine : Machine
+    excitation : (n, 2) array
+        r [m] before the controller's part is added.
+    forces : Forces
+        What else acts on the rotor.
+    sensor : (n, 2) array
+        What the probes add to the disc position [m].
+    sample_time : float
+        [s].
+    controller : SampledController, optional
+    taken : (n, 2) array, optional
+        What the controller takes off the measured position [m].
+    stack_run : StackStaircase, optional
+        Takes one stack out of the pairs.
+    n_settle : int
+        Samples before the logger starts.
+    oversampling : int
+        Steps a sample, at least 20.
+    wall : bool
+        Whether the disc is held by a contact at the clearance.
+    engine : {"auto", "compiled", "python"}
+
+    Returns
+    -------
+    SteppedMotion
+
+    Raises
+    ------
+    UsageError
+        When the compiled engine is insisted on and there is none, a step is too long, or a stack is commanded
+        on a machine without stacks.
+    """
+    if oversampling < MIN_OVERSAMPLING:
+        raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
+    n = len(excitation)
+    is_open = stack_run is not None and not stack_run.controlled
+    arrays = step_arrays(
+        machine, controller, sample_time, oversampling, wall, stack_run.stack if stack_run and is_open else None
+    )
+    base = _base(machine, stack_run, arrays, n, sample_time, n_settle)
+    state = rest_state(arrays, machine, base[0] if n else np.zeros(4))
+    orbit, velocity = forces.orbit_at_start()
+    state.rotor[0:2] += orbit
+    state.rotor[2:4] += velocity
+    taken = np.zeros((n, 2)) if taken is None else taken
+    run, how = _choose(engine)
+    rows = np.empty((n, ROW_WIDTH))
+    for first in range(0, n, _CHUNK):
+        part = slice(first, min(first + _CHUNK, n))
+        on_grid = forces.between(part.start, part.stop, oversampling)
+        rows[part] = run(arrays, state, Chunk(excitation[part], base[part], on_grid, sensor[part], taken[part]))
+    columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
+    r, u, p, seen, stacks, volts, ended, radius, told = columns
+    return SteppedMotion(r, u, p, seen, stacks, volts, told, ended, radius, how)
+
+
+def _base(
+    machine: Machine,
+    stack_run: StackStaircase | None,
+    arrays: StepArrays,
+    n: int,
+    sample_time: float,
+    n_settle: int,
+) -> FloatArray:
+    """Give what each stack is told beside the pairs' references."""
+    actuator = machine.actuator
+    if not isinstance(actuator, PiezoStacks):
+        if stack_run is not None:
+            raise UsageError("stack staircase: this machine has linear actuators; give it PiezoStacks")
+        return np.zeros((n, 4))
+    base = np.full((n, 4), actuator.offset)
+    if stack_run is not None and arrays.stacks is not None:
+        i = stack_run.stack - 1
+        top = actuator.stacks[i].stroke if stack_run.controlled else actuator.stacks[i].voltage_limit
+        base[:, i] = stack_run.command(top, n, sample_time, n_settle)
+    return base
+
+
+_Run = Callable[[StepArrays, StepState, Chunk], FloatArray]
+
+
+def _choose(engine: RigEngine) -> tuple[_Run, str]:
+    if engine not in ("auto", "compiled", "python"):
+        raise UsageError(f"engine = {engine!r}; choose 'auto', 'compiled' or 'python'")
+    if engine == "python":
+        return run_in_python, "stepping, interpreted"
+    try:
+        load_library(SOURCE)
+    except CompilerMissingError as missing:
+        if engine == "compiled":
+            raise UsageError(f"engine = 'compiled': {missing}") from None
+        return run_in_python, f"stepping, interpreted ({missing})"
+    return _run_compiled, "stepping, compiled"
+
+
+def _run_compiled(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
+    """Step through a chunk in C; the state moves on. See `run_in_python`."""
+    n, kept = len(chunk.excitation), len(state.history) - 1
+    stacks, controller = arrays.stacks, arrays.controller
+    n_creep = len(state.creep)
+    empty = np.zeros((max(n_creep, 1), 4))
+    single = np.array(stacks[:13]) if stacks else np.zeros((13, 4))
+    thresholds, creep, relax = stacks[13:] if stacks else (np.zeros_like(state.plays), empty, empty)
+    blocks = [controller.A, controller.B, controller.C, controller.D] if controller else []
+    loop = np.concatenate([block.ravel() for block in blocks]) if blocks else np.zeros(1)
+    loop_state = np.concatenate([state.controller, state.command])
+    history = np.vstack([state.history, np.zeros((n * arrays.oversampling + 1, 2))])
+    n_loop = -1 if controller is None else len(controller.A)
+    sizes = np.array(
+        [n, arrays.oversampling, stacks is not None, n_creep, kept, n_loop, arrays.wall], dtype=ctypes.c_long
+    )
+    limits = np.array([arrays.resolution, arrays.travel])
+    output = np.empty((n, ROW_WIDTH))
+    constants = [arrays.rotor, arrays.linear, single, thresholds, creep, relax]
+    drive = [chunk.excitation, chunk.base, chunk.forces, chunk.sensor, chunk.taken, loop, limits]
+    moving = [state.linear, state.stack, state.plays, state.creep, state.rotor, loop_state, history, output]
+    fixed = [np.ascontiguousarray(array, dtype=float) for array in constants + drive]
+    step = load_library(SOURCE).gbid_rig_steps
+    step.restype = None
+    step(*(ctypes.c_void_p(array.ctypes.data) for array in (sizes, *fixed, *moving)))
+    state.controller[:], state.command[:] = loop_state[: len(state.controller)], loop_state[-2:]
+    state.history[:] = history[: kept + 1]
+    return output
