@@ -25,10 +25,10 @@ if TYPE_CHECKING:
         pareto,
         save_controller,
         sensitivities,
-        tune,
         validate_impact,
     )
     from gbid.control.assess.assess import assess
+    from gbid.control.tune.tune import tune
     from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
     from gbid.identify.fit import fit
     from gbid.interchange import save_csv, save_mat

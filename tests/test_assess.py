@@ -1,4 +1,4 @@
-"""What a design is worth: the paper's design and its printed figures."""
+"""Performance of designs: the paper's design and its printed figures."""
 
 from __future__ import annotations
 
@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 import gbid
-from gbid.control import HalfSine, PStructure
+from gbid.control import HalfSine, PStructure, scheduled
 from gbid.control.assess.point_assessment import FIGURES
-from gbid.control.controllers import scheduled
 from gbid.errors import UsageError
 
 MACHINE = gbid.load_model("theisen2016")
@@ -76,10 +75,10 @@ def test_scheduled_gains_are_taken_at_each_point() -> None:
         assert point.figures() == pytest.approx(fixed.figures(), rel=1e-9)
 
 
-def test_a_harder_blow_moves_everything_in_proportion() -> None:
-    blow = HalfSine()
+def test_a_harder_impact_moves_everything_in_proportion() -> None:
+    impact = HalfSine()
     one, two = (
-        gbid.assess(MACHINE, "P", GAINS, [(6, 0)], impact=replace(blow, peak_n=factor * blow.peak_n)).points[0]
+        gbid.assess(MACHINE, "P", GAINS, [(6, 0)], impact=replace(impact, peak_n=factor * impact.peak_n)).points[0]
         for factor in (1, 3)
     )
     assert two.impact_p_m == pytest.approx(3 * one.impact_p_m, rel=1e-9)

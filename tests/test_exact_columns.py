@@ -1,4 +1,4 @@
-"""Exact columns of the Hessian: against differences of the gradient over whole records, and what they are worth."""
+"""Exact columns of the Hessian: against differences of the gradient over whole records, and their effect."""
 
 import numpy as np
 import pytest

@@ -7,8 +7,7 @@ import pytest
 
 import gbid
 from gbid.errors import DataError, UsageError
-from gbid.identify import TableEntry, save_table
-from gbid.identify.table import tabulate
+from gbid.identify import TableEntry, save_table, tabulate
 from gbid.identify.table.table_store import write_csv
 from gbid.rig import Machine, Prbs, record
 

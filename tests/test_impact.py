@@ -33,11 +33,11 @@ def test_undamped_oscillator_in_closed_form() -> None:
     assert found.decay_time_s == np.inf
 
 
-def test_decay_time_of_a_short_blow() -> None:
+def test_decay_time_of_a_short_impact() -> None:
     """The envelope e^(-zeta w t) of a lightly damped oscillator falls below 5 % of the first peak."""
     w, zeta = 2 * np.pi * 100.0, 0.02
     found = impact_response(oscillator(w, zeta), impact=HalfSine(1.0, 1e-4, 1.0))
-    exact = (np.log(1 / 0.05)) / (zeta * w) + 0.25 / 100  # from the peak, a quarter of a period after the blow
+    exact = (np.log(1 / 0.05)) / (zeta * w) + 0.25 / 100  # from the peak, a quarter of a period after the impact
     assert found.decay_time_s == pytest.approx(exact, abs=0.5 / 100)
 
 
@@ -64,13 +64,13 @@ def test_published_loop_against_an_adaptive_integrator() -> None:
 
 
 def test_feedback_shortens_the_ring_down() -> None:
-    """Figs. 22 and 23: the blow does much the same, and rings down far faster."""
+    """Figs. 22 and 23: the impact does much the same, and rings down far faster."""
     for direction in (0.0, 90.0):
-        blow = HalfSine(direction_deg=direction)
-        opened, closed = impact_response(PLANT, impact=blow), impact_response(PLANT, PAPER, blow)
+        impact = HalfSine(direction_deg=direction)
+        opened, closed = impact_response(PLANT, impact=impact), impact_response(PLANT, PAPER, impact)
         assert closed.peak_p_m == pytest.approx(opened.peak_p_m, rel=0.2)
         assert closed.decay_time_s < opened.decay_time_s / 5
-        bearing = impact_response(MACHINE.at(6, 0), impact=blow)
+        bearing = impact_response(MACHINE.at(6, 0), impact=impact)
         np.testing.assert_allclose(bearing.p, opened.p, rtol=0, atol=1e-9 * opened.peak_p_m)
 
 

@@ -1,4 +1,4 @@
-"""Further loops in the impacts: each controller runs sampled on the rig, with figures of what a blow does."""
+"""Further loops in the impacts: each controller runs sampled on the rig, with figures of what an impact does."""
 
 from __future__ import annotations
 
@@ -134,8 +134,8 @@ def quiet_hit(axis: str, closed: bool) -> gbid.Recording:
     if closed:
         zero = record(machine, Stationary(0.2), **options).signal("p").mean(axis=0)
         running = SampledController(SAMPLED.A, SAMPLED.B, SAMPLED.C, SAMPLED.D, 2e-4, offset=zero)
-    blows = tuple(Impact.along(axis, 0.2 + 0.3 * i, 12.0) for i in range(3))
-    return record(machine, Hammer(blows, 1.1), controller=running, **options)
+    impacts = tuple(Impact.along(axis, 0.2 + 0.3 * i, 12.0) for i in range(3))
+    return record(machine, Hammer(impacts, 1.1), controller=running, **options)
 
 
 @cache
@@ -145,7 +145,7 @@ def study(closed: bool):
 
 
 @pytest.mark.parametrize("closed", [False, True])
-def test_figures_of_blows_are_those_of_the_rig(closed: bool) -> None:
+def test_figures_of_impacts_are_those_of_the_rig(closed: bool) -> None:
     # the rig integrates disc and stacks by itself, step by step; the other side is the model's sampled loop
     for found, axis in zip(study(closed).figures, "xy", strict=True):
         assert found.peak_m == pytest.approx(found.peak_simulated_m, rel=0.01)
@@ -172,7 +172,7 @@ def test_loop_and_figures_are_kept(tmp_path) -> None:
     assert (again.loop, again.figures) == ("soft", named.figures)
 
 
-def test_loops_are_averaged_over_their_blows() -> None:
+def test_loops_are_averaged_over_their_impacts() -> None:
     data = report.impact_loops_data({"open": study(False), "closed": study(True)}, duration_s=0.04)
     assert data.time[0] == pytest.approx(-5e-3)
     assert data.time[-1] == pytest.approx(0.04 - 2e-4)

@@ -40,10 +40,10 @@ POINT = (6.0, 0.0)
 
 
 @cache
-def hit(axis: str, loop: str = "open", speed: float = 0.0, mass: float = 2.18, seed: int = 1, blows: int = 3):
+def hit(axis: str, loop: str = "open", speed: float = 0.0, mass: float = 2.18, seed: int = 1, impacts: int = 3):
     machine = Machine.from_parameters(MODEL.key_parameters(6.0, speed), MODEL.actuators, moving_mass=mass)
-    times = [0.1 + 0.25 * i + i * 7.3e-5 for i in range(blows)]
-    hammer = Hammer(tuple(Impact.along(axis, t, 12.0) for t in times), 0.1 + 0.25 * blows)
+    times = [0.1 + 0.25 * i + i * 7.3e-5 for i in range(impacts)]
+    hammer = Hammer(tuple(Impact.along(axis, t, 12.0) for t in times), 0.1 + 0.25 * impacts)
     options = {"conditions": {"pressure_bar": 6.0, "speed_rpm": speed}, "seed": seed, "name": f"{axis}_{loop}"}
     controller = None
     if loop == "closed":
@@ -58,7 +58,7 @@ def off_by(found, true) -> np.ndarray:
     return (estimate - np.array([v for mode in true for v in mode])) / np.sqrt(np.diag(found.covariance))
 
 
-def test_one_moving_mass_for_rig_and_reference_blow() -> None:
+def test_one_moving_mass_for_rig_and_reference_impact() -> None:
     """Disc and a third of the shaft, Table 1."""
     assert HalfSine().mass_kg == Machine.moving_mass == pytest.approx(1.5 + 2.04 / 3)
 
@@ -71,7 +71,7 @@ def test_expected_rows_of_tables_3_and_4() -> None:
         assert [(round(f, 1), round(z, 3)) for f, z in found] == [tuple(mode) for mode in printed]
 
 
-def test_ringing_modes_are_those_a_blow_excites() -> None:
+def test_ringing_modes_are_those_a_impact_excites() -> None:
     """The two of the bearing among all that a loop has, wherever filters put theirs."""
     everything = close_loop(MODEL.plant_at(*POINT), PAPER).modes()
     assert len(everything) > 2
@@ -108,7 +108,7 @@ def test_force_scaling_is_one_over_the_mass(mass: float, speed: float) -> None:
         assert found.loop == "open loop"
 
 
-def test_closed_loop_as_it_runs_explains_the_blow_and_the_continuous_one_does_less() -> None:
+def test_closed_loop_as_it_runs_explains_the_impact_and_the_continuous_one_does_less() -> None:
     """What the sampling and one sample of computation change is far beyond the noise."""
     running = gbid.validate_impact(hit("x", "closed"), exact_plant(MODEL, *POINT), SAMPLED)
     assert running.force_scale == pytest.approx(1 / 2.18, abs=3.5 * running.force_scale_std)
@@ -120,7 +120,7 @@ def test_closed_loop_as_it_runs_explains_the_blow_and_the_continuous_one_does_le
 
 
 def test_continuous_loop_against_an_adaptive_integrator() -> None:
-    """A noise-free force, one blow; the simulated response of 1 N/kg against DOP853 on the half-sine itself."""
+    """A noise-free force, one impact; the simulated response of 1 N/kg against DOP853 on the half-sine itself."""
     time = 2e-4 * np.arange(600)
     since = time - 0.01007
     f = np.where((since > 0) & (since < 2e-3), 12 * np.sin(np.pi * since / 2e-3), 0.0)
@@ -178,7 +178,7 @@ def test_study_round_trip(tmp_path) -> None:
     assert again.ringdown.recordings == study.ringdown.recordings
     one, other = study.validations[0], again.validations[0]
     np.testing.assert_array_equal(other.simulated, one.simulated)
-    assert (other.blows, other.windows, other.force_scale) == (one.blows, one.windows, one.force_scale)
+    assert (other.impacts, other.windows, other.force_scale) == (one.impacts, one.windows, one.force_scale)
     with pytest.raises(UsageError, match="exists"):
         save_impacts(study, tmp_path / "study.h5")
 
@@ -195,7 +195,7 @@ def test_bad_models() -> None:
     with pytest.raises(DataError, match="an impact needs two"):
         gbid.validate_impact(single, MODEL.at(*POINT))
     still = replace(rec, signals={**rec.signals, "f": 0 * rec.signal("f")})
-    with pytest.raises(DataError, match="no blow"):
+    with pytest.raises(DataError, match="no impact"):
         gbid.validate_impact(still, MODEL.at(*POINT))
 
 
@@ -218,7 +218,13 @@ def test_verb_makes_tables_and_files(tmp_path, capsys) -> None:
     path = write_quick(tmp_path, text=YAML)
     assert command("impact", path) == 0
     out = capsys.readouterr().out
-    for words in ("natural frequencies", "damping factors", "expected from model", "obtained from the blows", "126.3"):
+    for words in (
+        "natural frequencies",
+        "damping factors",
+        "expected from model",
+        "obtained from the impacts",
+        "126.3",
+    ):
         assert words in out
     folder = tmp_path / "results" / "hits" / "impacts"
     with (folder / "impacts.csv").open() as file:
@@ -262,7 +268,7 @@ def test_controller_of_a_file_runs(tmp_path, capsys) -> None:
         ("  repeats: 2", "  model: lpv", "there is no section 'lpv'"),
         ("  repeats: 2", "  model: nowhere", "nowhere"),
         ("speed_rpm: 0}]\n  repeats", "speed_rpm: 99999}]\n  repeats", "lies outside the domain"),
-        ("spacing_s: 0.25", "spacing_s: 0.005", "too short for blows"),
+        ("spacing_s: 0.25", "spacing_s: 0.005", "too short for impacts"),
         ("spacing_s: 0.25", "impact_s: 0.0003", "less than 4 samples"),
         ("repeats: 2", "repeats: 0", "impacts.repeats"),
     ],

@@ -56,7 +56,7 @@ def test_verb_draws_and_keeps_surfaces(campaign):
     assert [row["name"] for row in two["deviations"][:4]] == ["tau_x", "tau_y", "omega_1", "omega_2"]
     assert two["deviations"][2]["published_rms"] == 1.13
     assert two["published_largest_gain"] == 0.016
-    assert one["options"]["method"] == "one-shot"
+    assert one["options"]["method"] == "direct"
     again = json.loads(call("lpv", path, "--results", out, "--json").stdout)
     assert {o["state"] for o in again["outcomes"]} == {"kept"}
     assert again["lpv"] == document["lpv"]
@@ -72,7 +72,7 @@ def test_table_stands_beside_the_papers(campaign):
     path, out = campaign
     result = call("lpv", path, "--results", out)
     assert result.exit_code == 0, result.output
-    for word in ("two-step", "one-shot", "paper", "omega_1", "1.13", "0.0104", "0.088", "bearing_direct.yaml"):
+    for word in ("two-step", "direct", "paper", "omega_1", "1.13", "0.0104", "0.088", "bearing_direct.yaml"):
         assert word in result.stdout
 
 

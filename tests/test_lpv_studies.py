@@ -1,4 +1,4 @@
-"""Surfaces of whole campaigns on the rig: recovery of the truth, and the one-shot fit against the two-step one."""
+"""Surfaces of whole campaigns on the rig: recovery of the truth, and the direct LPV fit against the two-step one."""
 
 import json
 import subprocess
@@ -60,7 +60,7 @@ FAST, SLOW = {}, {"amplitude": 4.5e-6, "hold_s": 20e-3}  # the campaign's own is
 def test_campaign_recovers_the_truth(scatter, noise, focus, prbs, at_most):
     """86 short recordings; the structure has no error of its own, so all that is off is chance.
 
-    `at_most`: error of the one-shot surfaces over that of the two-step ones, geometric mean over the parameters.
+    `at_most`: error of the direct surfaces over that of the two-step ones, geometric mean over the parameters.
     """
     rng = np.random.default_rng(7)
     how = {"n": 1000, "scatter": scatter, "noise": noise, **prbs, "rng": rng}
@@ -70,7 +70,7 @@ def test_campaign_recovers_the_truth(scatter, noise, focus, prbs, at_most):
     two = gbid.fit_lpv(fits, [point for point, _ in CAMPAIGN], actuators=FIXED)
     one = gbid.fit_lpv_direct(recordings, two, structure=EXACT, focus=focus, fixed=FIXED)
     print(f"scatter {scatter}, noise {noise}, {focus}: {sum(not f.success for f in fits)} fits did not converge")
-    print("one-shot:", one.status, dict(one.options), one.notes)
+    print("direct:", one.status, dict(one.options), one.notes)
     assert one.success
     percent, rms = {}, {}
     for name, fit in (("two", two), ("one", one)):
@@ -83,7 +83,7 @@ def test_campaign_recovers_the_truth(scatter, noise, focus, prbs, at_most):
         percent[name] = held_out_percent(fit, fits, held_out)
     print("held out:", percent, [(d.name, d.rms, d.published_rms) for d in two.deviations])
     ratio = rms["one"] / rms["two"]
-    print("one-shot over two-step:", ratio.round(2), f"geometric mean {np.exp(np.log(ratio).mean()):.3f}")
+    print("direct over two-step:", ratio.round(2), f"geometric mean {np.exp(np.log(ratio).mean()):.3f}")
     assert percent["one"] > percent["two"] - 0.1
     assert np.exp(np.log(ratio).mean()) < at_most
 

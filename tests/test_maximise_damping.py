@@ -13,7 +13,7 @@ from gbid.control.tune.search.loop_family import families_of, loop_equations
 from gbid.control.tune.search.peaks import find_peaks, peak_slopes
 from gbid.control.tune.search.problem import Problem
 from gbid.control.tune.search.spectrum import Eigensystem, pair_of
-from gbid.control.tune.search.sqp import merit, polish
+from gbid.control.tune.search.sqp import merit, optimise_locally
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -224,8 +224,8 @@ def test_a_climb_never_ends_below_its_start() -> None:
     rng = np.random.default_rng(5)
     for _ in range(4):
         start = x + 0.05 * rng.standard_normal(len(x))
-        first = polish(problem, start, max_iterations=10)
-        again = polish(problem, first.x, max_iterations=10)
+        first = optimise_locally(problem, start, max_iterations=10)
+        again = optimise_locally(problem, first.x, max_iterations=10)
         assert merit(first.score, 10.0) >= merit(problem.score(start), 10.0) - 1e-12
         assert merit(again.score, 10.0) >= merit(first.score, 10.0) - 1e-12
 

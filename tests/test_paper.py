@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import gbid
 from gbid import report
 from gbid.cli.main import app
-from gbid.control.impact.measured import Blow
+from gbid.control.impact.measured import MeasuredImpact
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import DataError, UsageError
@@ -179,11 +179,11 @@ def test_surface_panels_are_the_estimates(surfaces):
 def study(loop, start, decay):
     time = 2e-4 * np.arange(2000)
     p, f = np.zeros((2000, 2)), np.zeros((2000, 2))
-    for blow in (start, start + 900):
-        f[blow : blow + 10, 0] = 10.0
-        p[blow:, 0] += 1e-6 * np.exp(-decay * time[: 2000 - blow])
+    for impact in (start, start + 900):
+        f[impact : impact + 10, 0] = 10.0
+        p[impact:, 0] += 1e-6 * np.exp(-decay * time[: 2000 - impact])
     windows = ((start, start + 400), (start + 900, start + 1300))
-    blows = tuple(Blow(a, a + 10, 10.0, 0.0) for a, _ in windows)
+    impacts = tuple(MeasuredImpact(a, a + 10, 10.0, 0.0) for a, _ in windows)
     found = ImpactValidation(
         0.5,
         0.01,
@@ -195,7 +195,7 @@ def study(loop, start, decay):
         p,
         f,
         windows,
-        blows,
+        impacts,
         0,
         "r",
         loop,
@@ -204,14 +204,14 @@ def study(loop, start, decay):
     return ImpactStudy({"pressure_bar": 6.0, "speed_rpm": 0.0}, loop, "m", "", modes, modes, None, (found,))
 
 
-def test_blows_of_both_loops_begin_at_zero():
+def test_impacts_of_both_loops_begin_at_zero():
     curves = report.impact_data(study("open", 300, 20.0), study("closed", 457, 90.0), "x")
     assert set(curves.responses) == set(curves.forces) == {"open loop", "closed loop"}
     for force in curves.forces.values():
         assert curves.time[np.flatnonzero(force)[0]] == pytest.approx(0.0, abs=1e-12)
-        assert (force > 0).sum() == 10  # the second blow is not shown
+        assert (force > 0).sum() == 10  # the second impact is not shown
     assert curves.title == "6 bar, 0 rpm"
-    with pytest.raises(UsageError, match="no blow along y"):
+    with pytest.raises(UsageError, match="no impact along y"):
         report.impact_data(study("open", 300, 20.0), study("closed", 457, 90.0), "y")
     compared = report.impact_validation_data(study("closed", 457, 90.0), "x")
     assert compared.responses["measured"] == pytest.approx(

@@ -87,11 +87,11 @@ def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
     assert table.columns == ("figure", "feedback", "held", "published")
     stored = load_tuned(made.parent / "results" / "designs" / "controller" / "feedback.h5")
     rows = {row[0]: row[1:] for row in table.rows}
-    assert rows["smallest damping"][0] == pytest.approx(stored.worth[0].worst["damping"][0], abs=5e-4)
-    assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.worth[1].worst["stack_travel_m"][0], abs=5e-3)
+    assert rows["smallest damping"][0] == pytest.approx(stored.performance[0].worst["damping"][0], abs=5e-4)
+    assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.performance[1].worst["stack_travel_m"][0], abs=5e-3)
 
 
-def test_blows_of_each_loop_stand_beside(results) -> None:
+def test_impacts_of_each_loop_stand_beside(results) -> None:
     loops = results.loops_at(False)
     assert list(loops) == ["open loop", "published gains", "tuned"]
     with pytest.raises(DataError, match="no impacts with a turning shaft"):
@@ -126,7 +126,7 @@ def test_report_shows_designs_front_and_loops(page) -> None:
         "held back by",
         "Smallest damping factor over the peak of the output sensitivity: P 0.",
         "Pictures of feedback",
-        "after the same blow along x and along y: open loop, published gains, tuned",
+        "after the same impact along x and along y: open loop, published gains, tuned",
         "disc up to [µm]",
     ):
         assert words in page, words

@@ -343,8 +343,8 @@ def test_explorer_computes_what_the_library_computes(job, seed):
     assert found["static_amplification"] == pytest.approx(at_rest, rel=1e-6)
     assert found["damping"] == pytest.approx(min(damping for _, damping in closed.modes()), rel=1e-9)
     assert f"{found['damping']:.3f}" in text[text.index('id="explore-verdict"') :][:300]
-    blow = HalfSine().towards({"x": 0.0, "y": 90.0}[axis])
-    answer = impact_response(plant, controller, blow, duration_s=0.2)
+    impact = HalfSine().towards({"x": 0.0, "y": 90.0}[axis])
+    answer = impact_response(plant, controller, impact, duration_s=0.2)
     time = np.array(found["time_s"])
     at = np.rint(time / 2e-5).astype(int)
     np.testing.assert_allclose(answer.time_s[at], time, atol=1e-12)

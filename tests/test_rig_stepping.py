@@ -119,17 +119,17 @@ def test_rotor_with_all_effects_matches_an_adaptive_integration():
             [speed**2 * np.cos(angle) + slope * np.sin(angle), speed**2 * np.sin(angle) - slope * np.cos(angle)]
         )
 
-    blows = (Impact(0.01, 9.0, 1.7e-3, 0.4), Impact.along("y", 0.05, 5.0, 3.1e-3))
+    impacts = (Impact(0.01, 9.0, 1.7e-3, 0.4), Impact.along("y", 0.05, 5.0, 3.1e-3))
 
     def hammered(t):
         f = np.zeros(2)
-        for b in blows:
+        for b in impacts:
             if 0 < t - b.time < b.duration:
                 along = np.array([np.cos(b.direction), np.sin(b.direction)])
                 f += b.peak * np.sin(np.pi * (t - b.time) / b.duration) * along
         return f / rig.moving_mass
 
-    for experiment, force, end in ((RunUp(0, 6000, 1.0), turning, 1.0), (Hammer(blows, 0.2), hammered, 0.2)):
+    for experiment, force, end in ((RunUp(0, 6000, 1.0), turning, 1.0), (Hammer(impacts, 0.2), hammered, 0.2)):
         made = record(rig, experiment, conditions=STILL, seed=1, name="a", settle_s=0)
         first["phi"] = made.signal("phi")[0, 0]
         solution = solve_ivp(
@@ -305,8 +305,8 @@ def test_static_error_of_the_default_film_stays_below_the_papers():
 
 def test_impact_gives_the_momentum_that_was_measured():
     rig = machine(6.0, 0.0, sensors=BARE)
-    blow = Impact.along("y", 0.02, 10.0, 2e-3)
-    made = record(rig, Hammer((blow,), 0.5), conditions=STILL, seed=0, name="a", settle_s=0)
+    impact = Impact.along("y", 0.02, 10.0, 2e-3)
+    made = record(rig, Hammer((impact,), 0.5), conditions=STILL, seed=0, name="a", settle_s=0)
     force = made.signal("f")
     assert made.units["f"] == "N"
     assert made.channels["f"] == ("x", "y")
@@ -315,8 +315,8 @@ def test_impact_gives_the_momentum_that_was_measured():
     assert momentum == pytest.approx(2 / np.pi * 10.0 * 2e-3, rel=0.01)
     truth = rig.rotor_bearing
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]])
-    when = blow.time + blow.duration * (np.arange(400) + 0.5) / 400
-    pushes = blow.force(when)[:, 1] * (blow.duration / 400) / rig.moving_mass
+    when = impact.time + impact.duration * (np.arange(400) + 0.5) / 400
+    pushes = impact.force(when)[:, 1] * (impact.duration / 400) / rig.moving_mass
     for k in (130, 180, 400):
         parts = [push * expm(A * (k * TS - t))[:2, 3] for t, push in zip(when, pushes, strict=True)]
         np.testing.assert_allclose(made.signal("p")[k], np.sum(parts, axis=0), rtol=0, atol=1e-10)
@@ -401,11 +401,11 @@ def test_plant_in_the_loop_is_the_same_plant():
 
 
 def test_the_papers_controller_damps_an_impact():
-    blow = Hammer((Impact(0.05, 10.0),), 0.3)
+    impact = Hammer((Impact(0.05, 10.0),), 0.3)
     rig = replace(machine(6.0, 0.0, sensors=BARE), actuator=PiezoStacks())
     left = {}
     for name, controller in (("open", None), ("closed", p_controller())):
-        p = record(rig, blow, conditions=STILL, seed=0, name="a", controller=controller).signal("p")[:, 0]
+        p = record(rig, impact, conditions=STILL, seed=0, name="a", controller=controller).signal("p")[:, 0]
         p = p - p[-100:].mean()
         left[name] = np.abs(p[750:1000]).max() / np.abs(p).max()
     assert left["closed"] < 0.05 * left["open"]

@@ -11,7 +11,7 @@ from scipy.optimize import curve_fit
 from scipy.stats import binom
 
 import gbid
-from gbid.control import find_blows
+from gbid.control import find_impacts
 from gbid.control.impact.measured import pulse_forcing, pulses_of
 from gbid.control.impact.ringdown.basis import Scale, ring_data
 from gbid.control.impact.ringdown.coloured import autocovariance, sandwich
@@ -32,7 +32,7 @@ def half_sine(time: np.ndarray, start: float, peak: float = 10.0, length: float 
 
 @cache
 def motion(axis: int, starts: tuple[float, ...], n: int, peak: float) -> np.ndarray:
-    """Blows on a mass of 2 kg, in steps of a hundredth of a sample with scipy's exponential."""
+    """Impacts on a mass of 2 kg, in steps of a hundredth of a sample with scipy's exponential."""
     fine, time = 100, H * np.arange(n)
     A = np.block([[np.zeros((2, 2)), np.eye(2)], [K, D]])
     step = expm(np.block([[A, np.eye(4)[:, [2 + axis]]], [np.zeros((1, 5))]]) * (H / fine))
@@ -61,7 +61,7 @@ def recording(
     rpm: float = 0.0,
     peak: float = 10.0,
 ) -> gbid.Recording:
-    """Blows, and a shaft that turns or not; noise white or not."""
+    """Impacts, and a shaft that turns or not; noise white or not."""
     time = H * np.arange(n)
     random = np.random.default_rng([seed, axis])
     w = random.standard_normal((n, 2))
@@ -90,21 +90,21 @@ def test_known_modes_without_noise() -> None:
         np.testing.assert_allclose(found.stiffness, K, rtol=1e-5, atol=1e-5 * 7e5)
         np.testing.assert_allclose(found.damping_matrix, D, rtol=1e-5, atol=1e-5 * 55)
         assert found.success
-        assert found.n_blows == 4
+        assert found.n_impacts == 4
         assert found.harmonics == (5 if rpm else 0)
         assert not found.lag_rates.size
 
 
-def test_one_blow_tells_both_modes_where_they_are_coupled() -> None:
+def test_one_impact_tells_both_modes_where_they_are_coupled() -> None:
     found = gbid.fit_ringdown(recording(axis=0, starts=(0.1,)))
     assert (np.abs(values(found) - TRUE) < 4 * np.sqrt(np.diag(found.covariance))).all()
 
 
 def test_against_scipy_on_the_same_samples() -> None:
-    """One recording and blow: an exponential fit with free amplitudes, by scipy, from the truth."""
+    """One recording and impact: an exponential fit with free amplitudes, by scipy, from the truth."""
     rec = recording(axis=0, starts=(0.1,), n=2000)
-    blow = find_blows(rec.signal("f"), H)[0]
-    y = rec.signal("p")[blow.stop :]
+    impact = find_impacts(rec.signal("f"), H)[0]
+    y = rec.signal("p")[impact.stop :]
     time = H * np.arange(len(y))
 
     def model(_, *c):
@@ -123,7 +123,7 @@ def test_against_scipy_on_the_same_samples() -> None:
     start = [*TRUE, 2.0, -3.0, *([1.0, 1.0] * 4)]
     best, covariance = curve_fit(model, np.tile(time, 2), 1e6 * y.T.ravel(), start)
     found = gbid.fit_ringdown(rec, lags=0)
-    # two poles and two shapes per blow are all that K, D and a state can give, but the offset is told before as well
+    # two poles and two shapes per impact are all that K, D and a state can give, but the offset is told before as well
     spread = np.sqrt(np.diag(covariance)[:4])
     assert (np.abs(values(found) - best[:4]) < 0.5 * spread).all()
     np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), spread, rtol=0.35)
@@ -145,8 +145,8 @@ def test_intervals_cover_the_truth(pole: float) -> None:
 
 def test_slopes_against_differences() -> None:
     rec = recording(axis=0, n=900, starts=(0.1,), rpm=2050.0)
-    blows = find_blows(rec.signal("f"), H)
-    data = ring_data(rec, "p", blows, pulses_of(rec.signal("f"), blows), 2, 0)
+    impacts = find_impacts(rec.signal("f"), H)
+    data = ring_data(rec, "p", impacts, pulses_of(rec.signal("f"), impacts), 2, 0)
     data = type(data)(data.name, 1e6 * data.position, data.used, data.pulses, data.segments, data.quiet)
     scale = Scale(800.0, H)
     theta = np.concatenate([-K.ravel() / 800**2, -D.ravel() / 800])
@@ -168,7 +168,7 @@ def test_force_between_the_samples() -> None:
     time = H * np.arange(400)
     for late in np.linspace(0, 0.95, 12):
         f = np.column_stack([half_sine(time, (100 + late) * H), np.zeros(400)])
-        pulses = pulses_of(f, find_blows(f, H))
+        pulses = pulses_of(f, find_impacts(f, H))
         for rate in (0.0, 900.0):  # after the pulse a state with this rate
             forced = pulse_forcing(np.array([[-rate]]), np.array([[1.0, 0.0]]), pulses, 400, H)[:, 0]
             found = sum(np.exp(-rate * (399 - k) * H) * forced[k - 1] for k in range(1, 400))
@@ -178,11 +178,11 @@ def test_force_between_the_samples() -> None:
             assert found == pytest.approx(exact, rel=5e-4)
 
 
-def test_blows_are_found() -> None:
+def test_impacts_are_found() -> None:
     time = H * np.arange(2000)
     f = 0.05 * np.random.default_rng(1).standard_normal((2000, 2))
     f[:, 1] += half_sine(time, 0.1) + half_sine(time, 0.2, 3.0, 1e-3) + half_sine(time, 0.205, 2.0, 1e-3)
-    first, second = find_blows(f, H)
+    first, second = find_impacts(f, H)
     assert abs(first.start - 500) <= 1
     assert abs(first.stop - 510) <= 1
     assert first.axis == second.axis == "y"
@@ -234,9 +234,9 @@ def test_double_hits_are_told() -> None:
 @pytest.mark.parametrize(
     ("change", "text"),
     [
-        (lambda r: r.with_signals(f=0 * r.signal("f")), "no blow in the force"),
+        (lambda r: r.with_signals(f=0 * r.signal("f")), "no impact in the force"),
         (lambda r: r.slice(505, 3000), "cut off by its end"),
-        (lambda r: r.slice(0, 520), "samples after the blow"),
+        (lambda r: r.slice(0, 520), "samples after the impact"),
         (lambda r: gbid.Recording({"p": r.signal("p")[:, :1], "f": r.signal("f")}, H), "a ring-down needs two"),
         (lambda r: gbid.Recording({"p": r.signal("p")}, H, name="bare"), "has no signal 'f'"),
     ],

@@ -75,7 +75,7 @@ def test_closed_loop_sample_by_sample(late: list[int], computation: int) -> None
     plant = with_delay(exact_plant(MACHINE, 6, 0), [k * TS / 20 for k in late])
     found = sampled_loop(plant, PAPER, TS, computation_s=computation * TS / 20)
     start = np.zeros(plant.n_states)
-    start[6:8] = 0.01, -0.02  # velocities after a blow
+    start[6:8] = 0.01, -0.02  # velocities after an impact
     expected = fine_steps(plant, found.controller, late, computation, start, 150)
     state = np.concatenate([start, np.zeros(found.closed.n_states - plant.n_states)])
     got = found.closed.simulate(np.zeros((150, 2)), initial_state=state)

@@ -11,8 +11,7 @@ import pytest
 import gbid
 from benchmarks import tune_speed
 from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
-from gbid.control import HalfSine, controller_at, impact_response, p_controller
-from gbid.control.controllers import scheduled
+from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
 from gbid.control.tune.search.loop_family import loop_equations
 from gbid.control.tune.travel import travel_limit
 from gbid.errors import UsageError
@@ -126,7 +125,7 @@ def test_all_limits_hold_at_once() -> None:
 
 
 def test_piezo_travel_limits_the_gains() -> None:
-    blow = HalfSine(peak_n=20.0)
+    impact = HalfSine(peak_n=20.0)
 
     def travel(gains: dict[str, float]) -> float:
         plant, controller = MODEL.plant_at(6, 0), p_controller(**gains)
@@ -137,7 +136,7 @@ def test_piezo_travel_limits_the_gains() -> None:
 
     free = gbid.tune(MODEL, operating_points=ONE)
     allowed = 0.8 * travel(dict(free.gains))
-    result = gbid.tune(MODEL, operating_points=ONE, impact=blow, piezo_travel_m=2 * allowed)
+    result = gbid.tune(MODEL, operating_points=ONE, impact=impact, piezo_travel_m=2 * allowed)
     assert result.success
     assert travel(dict(result.gains)) <= allowed * (1 + 1e-5)
     assert travel(dict(result.gains)) >= 0.99 * allowed
@@ -151,13 +150,13 @@ def test_travel_of_all_loops_is_that_of_simulated_responses() -> None:
     values = {p.name: gains[p.name[:-2]] * (1.1 if p.name.endswith("x") else 1.0) for p in structure.parameters}
     points = np.array([(3.0, 0.0), (5.0, 4000.0), (7.0, 6000.0)])
     family = loop_equations(MODEL, structure).family(points)
-    blow = HalfSine(peak_n=9.0, duration_s=1.5e-3)
-    limit = travel_limit(MODEL.plant_at(3, 0), blow, 45e-6)
+    impact = HalfSine(peak_n=9.0, duration_s=1.5e-3)
+    limit = travel_limit(MODEL.plant_at(3, 0), impact, 45e-6)
     found = limit.function(family, np.array(list(values.values())))
     assert limit.limit == 22.5e-6
     for point, value in zip(points, found, strict=True):
         plant, controller = MODEL.plant_at(*point), controller_at(structure, values, *point)
-        peaks = [impact_response(plant, controller, blow.towards(a), duration_s=0.05).peak_r_m for a in (0, 90)]
+        peaks = [impact_response(plant, controller, impact.towards(a), duration_s=0.05).peak_r_m for a in (0, 90)]
         assert value == pytest.approx(max(peaks), rel=2e-6)
     unstable = limit.function(family, np.array([5.0, 5.0, *list(values.values())[2:]]))
     assert unstable == pytest.approx(1e3 * limit.limit)

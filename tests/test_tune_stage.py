@@ -63,7 +63,7 @@ def test_the_papers_damping_at_the_papers_cap(tuned):
     assert document["status"] == "optimal"
     assert document["value"] == pytest.approx(0.318, abs=5e-4)
     assert document["peak_sensitivity"] <= 2.28317 * (1 + 1e-6)
-    own, published = document["worth"]
+    own, published = document["performance"]
     assert (own["name"], published["name"]) == ("feedback", PUBLISHED)
     assert published["gains"] == {"kappa_x": 1.125, "kappa_y": 0.99}
     controller = gbid.control.p_controller(**document["gains"])
@@ -81,8 +81,8 @@ def test_table_is_that_of_compare_designs(tuned):
     assert "kept" in result.stderr
     structure = gbid.controller_structure("P")
     assessed = [
-        gbid.control.assess.assess(MODEL, structure, worth["gains"], [(6, 0)], name=worth["name"])
-        for worth in document["worth"]
+        gbid.control.assess.assess(MODEL, structure, performance["gains"], [(6, 0)], name=performance["name"])
+        for performance in document["performance"]
     ]
     compared = compare_designs(assessed)
     lines = result.stdout.splitlines()
@@ -211,7 +211,7 @@ def test_round_trip_of_a_design(tmp_path, tuned):
     assert len(stored.result.history) > 0
     bare = TunedDesign("bare", "m", stored.result, (), (), HalfSine(), 2e-4)
     save_tuned(bare, tmp_path / "bare.h5")
-    assert load_tuned(tmp_path / "bare.h5").worth == ()
+    assert load_tuned(tmp_path / "bare.h5").performance == ()
     (tmp_path / "bad.h5").write_bytes((tmp_path / "again.h5").read_bytes()[:2000])
     with pytest.raises(DataError, match=r"bad\.h5"):
         load_tuned(tmp_path / "bad.h5")
@@ -302,8 +302,8 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
     assert document["plant"] == "small"
     assert len(document["points"]) == 4
     assert document["verified_on"].endswith("12 loops")  # four points, the surfaces and two drawn plants
-    assert document["worth"][1]["name"] == PUBLISHED
-    assert document["worth"][0]["worst"]["peak_output"]["value"] <= 2.0 * (1 + 1e-6)
+    assert document["performance"][1]["name"] == PUBLISHED
+    assert document["performance"][0]["worst"]["peak_output"]["value"] <= 2.0 * (1 + 1e-6)
     bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
     assert "add lpv: actuators" in call("check", bare).output
 

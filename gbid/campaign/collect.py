@@ -10,8 +10,7 @@ from gbid.errors import DataError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.stages import Job, Outcome, Task, fit_tasks, import_tasks, prefilter_tasks, produce, rig_tasks
 from gbid.experiment.stages.failures import remembered_failure
-from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table
-from gbid.identify.table import tabulate
+from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
 from gbid.identify.table.table_store import write_csv
 
 NAME = "table"

@@ -1,4 +1,4 @@
-"""Controllers, closed loops, damping, and what a design is worth."""
+"""Controllers, closed loops, damping, and the performance of designs."""
 
 from gbid.control.assess.assess import Assessment, assess
 from gbid.control.assess.compare import Comparison, compare_designs
@@ -10,10 +10,10 @@ from gbid.control.controllers.filters import BiquadStructure, PDStructure, PStru
 from gbid.control.controllers.proportional import p_controller
 from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled
 from gbid.control.controllers.structures import controller_model, controller_structure
-from gbid.control.impact.figures_of_merit import BlowFigures
+from gbid.control.impact.figures_of_merit import ImpactFigures
 from gbid.control.impact.half_sine import HalfSine, ImpactResponse, impact_response
 from gbid.control.impact.impact_store import load_impacts, save_impacts
-from gbid.control.impact.measured import Blow, find_blows
+from gbid.control.impact.measured import MeasuredImpact, find_impacts
 from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
 from gbid.control.impact.ringdown.ringdown_result import RingDown
 from gbid.control.impact.ringing_modes import ringing_modes
@@ -46,17 +46,17 @@ from gbid.control.tune.uncertainty import Uncertainty
 __all__ = [
     "Assessment",
     "BiquadStructure",
-    "Blow",
-    "BlowFigures",
     "Comparison",
     "ControllerDesign",
     "DiskMargin",
     "GainResult",
     "HalfSine",
+    "ImpactFigures",
     "ImpactResponse",
     "ImpactStudy",
     "ImpactValidation",
     "LoopMargins",
+    "MeasuredImpact",
     "PDStructure",
     "PStructure",
     "ParetoFront",
@@ -80,7 +80,7 @@ __all__ = [
     "disk_margins_by_loop",
     "exact_plant",
     "export_c",
-    "find_blows",
+    "find_impacts",
     "fit_ringdown",
     "force_entry",
     "impact_response",

@@ -19,12 +19,12 @@ from gbid.experiment.problems import Location
 from gbid.experiment.schema_impacts import ImpactPoint, ImpactsSection
 from gbid.experiment.structures import rig_model
 
-LONGEST_BLOW = 0.25
-"""Of the time between blows; what follows is the ring-down."""
+LONGEST_IMPACT = 0.25
+"""Of the time between impacts; what follows is the ring-down."""
 
 
 def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]]:
-    """Impacts: rig, operating points inside the domain, blows one after the other, a controller that can be loaded."""
+    """Impacts: rig, operating points inside the domain, impacts in sequence, a controller that can be loaded."""
     section = experiment.spec.impacts
     if section is None:
         return
@@ -34,10 +34,10 @@ def impacts_can_be_made(experiment: Experiment) -> Iterator[tuple[Location, str]
             "needs the section rig, which is hit; add one (for recordings of your own use gbid.fit_ringdown)",
         )
         return
-    if section.impact_s > LONGEST_BLOW * section.spacing_s:
+    if section.impact_s > LONGEST_IMPACT * section.spacing_s:
         yield (
             ("impacts", "spacing_s"),
-            f"{section.spacing_s:g} s is too short for blows of {section.impact_s:g} s; lengthen it",
+            f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it",
         )
     elif section.impact_s < 4 * experiment.spec.rig.sample_time_s:
         yield (

@@ -1,12 +1,11 @@
-"""What a controller section asks for: structure, model, blow, sampling."""
+"""What a controller section asks for: structure, model, impact, sampling."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
-from gbid.control import HalfSine, Scheduled, controller_structure
-from gbid.control.controllers import scheduled
+from gbid.control import HalfSine, Scheduled, controller_structure, scheduled
 from gbid.control.controllers.structures import KINDS
 from gbid.errors import UsageError
 from gbid.experiment.load import Experiment
@@ -120,8 +119,8 @@ def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
     return (experiment.folder / file).read_bytes() if file else b""
 
 
-def blow(section: ControllerSection) -> HalfSine:
-    """Return the blow that designs are compared under: that of the section, or the default."""
+def impact(section: ControllerSection) -> HalfSine:
+    """Return the impact that designs are compared under: that of the section, or the default."""
     given = section.impact
     return HalfSine() if given is None else HalfSine(given.peak_n, given.duration_s)
 
@@ -141,7 +140,7 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
         },
     }
     if section.impact is not None:
-        options |= {"impact": blow(section), "piezo_travel_m": section.impact.piezo_travel_m}
+        options |= {"impact": impact(section), "piezo_travel_m": section.impact.piezo_travel_m}
     return options
 
 

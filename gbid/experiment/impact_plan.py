@@ -21,7 +21,7 @@ from gbid.structure import LinearModel
 from gbid.units import SIGNALS
 
 BEFORE_S = 0.2
-"""Time before the first blow, which shows what the disc does anyway."""
+"""Time before the first impact, which shows what the disc does anyway."""
 LOOPS = ("open", "closed")
 """Names of the loops that need no further controller."""
 TUNED = "controller"
@@ -106,11 +106,11 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
 
 
 def hammer_of(section: ImpactsSection, axis: str, sample_time: float) -> Hammer:
-    """Return the blows of a recording; they fall anywhere between samples, as those of a real hammer do."""
+    """Return the impacts of a recording; they fall anywhere between samples, as those of a real hammer do."""
     times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
-    blows = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
+    impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
     samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
-    return Hammer(blows, samples * sample_time)
+    return Hammer(impacts, samples * sample_time)
 
 
 def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:

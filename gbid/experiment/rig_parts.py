@@ -81,8 +81,8 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
             return StackStaircase(stack, controlled, rig.stack_staircase.steps, rig.stack_staircase.hold_s)
         case ("hammer", ("x" | "y") as axis) if rig.hammer is not None:
             hammer = rig.hammer
-            blows = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
-            return Hammer(tuple(blows), hammer.duration_s)
+            impacts = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
+            return Hammer(tuple(impacts), hammer.duration_s)
         case ("run_up",) if rig.run_up is not None:
             return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
     return Stationary(rig.stationary.duration_s or rig.duration_s)

@@ -49,8 +49,8 @@ else:
     ]
 
 
-class BlowSection(Section):
-    """Half-sine blow, along x and along y, under which no piezo stack may leave its travel."""
+class ImpactSection(Section):
+    """Half-sine impact, along x and along y, under which no piezo stack may leave its travel."""
 
     peak_n: Positive = 12.0
     duration_s: Positive = 2e-3
@@ -93,7 +93,7 @@ class ControllerSection(Section):
     slowest_pole: NotNegative | None = None
     objective: Literal["damping", "decay"] = "damping"
     design_for: Literal["continuous", "sampled"] = "continuous"
-    impact: Annotated[BlowSection | None, BeforeValidator(given)] = None
+    impact: Annotated[ImpactSection | None, BeforeValidator(given)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None
     start: dict[Text, Number] = Field(default_factory=dict)

@@ -23,7 +23,7 @@ class ImpactsSection(Section):
     section controller (``tuned:NAME`` of several), else a controller file.
     `beside`: further closed loops by name, each with a controller in the same words.
     `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment;
-    the rig's own when left out. `repeats` is the number of blows in a recording, `spacing_s` the time between them.
+    the rig's own when left out. `repeats` is the number of impacts in a recording, `spacing_s` the time between them.
     """
 
     controller: Text = "paper"

@@ -28,12 +28,12 @@ def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDes
 
 
 def _terms(design: TunedDesign) -> tuple[object, ...]:
-    points = tuple(map(tuple, design.worth[0].points)) if design.worth else ()
+    points = tuple(map(tuple, design.performance[0].points)) if design.performance else ()
     return design.plant, points, design.result.objective, design.result.sample_time, design.impact, design.sample_time
 
 
-def design_worths(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
-    """List what comparable designs are worth, the published one last.
+def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
+    """List the performance of comparable designs, the published one last.
 
     Raises
     ------
@@ -41,12 +41,12 @@ def design_worths(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
         When there are no designs.
     """
     chosen = list(comparable_designs(designs).values())
-    return [*(design.worth[0] for design in chosen if design.worth), *chosen[0].worth[1:]]
+    return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
 
 
-def design_rows(worths: list[DesignFigures]) -> list[tuple[str, ...]]:
+def design_rows(performances: list[DesignFigures]) -> list[tuple[str, ...]]:
     """Lay out the worst figures of designs, a row for each figure."""
-    worst = [worth.worst for worth in worths]
+    worst = [performance.worst for performance in performances]
     return [
         (heading, *(format(factor * found[figure][0], form) for found in worst))
         for heading, figure, factor, form in COLUMNS
@@ -75,16 +75,16 @@ def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoFront:
     fronts: dict[str, list[tuple[float, float]]] = {}
     for name, design in chosen.items():
         results = [design.result, *(result for _, result in design.front)]
-        label = design.worth[0].structure if design.worth else name
+        label = design.performance[0].structure if design.performance else name
         label = name if label in fronts else label
         fronts[label] = [_place(result) for result in results if result.success and result.peak_sensitivity is not None]
     first, marked = next(iter(chosen.values())), {}
     runs = first.result.sample_time is not None
     figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
-    for worth in design_worths(designs)[len(chosen) :]:
-        peak, damping = (worth.worst[figure][0] for figure in figures)
+    for performance in design_performances(designs)[len(chosen) :]:
+        peak, damping = (performance.worst[figure][0] for figure in figures)
         if np.isfinite([peak, damping]).all():
-            marked[worth.name] = (peak, damping)
+            marked[performance.name] = (peak, damping)
     title = f"{first.plant}, worst of {len(first.result.points)} operating points"
     if first.result.sample_time is not None:
         title += f", sampled at {1e3 * first.result.sample_time:g} ms"

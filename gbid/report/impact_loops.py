@@ -1,4 +1,4 @@
-"""The same blow in several loops: means over the blows with their spread, along x and along y."""
+"""The same impact in several loops: means over the impacts with their spread, along x and along y."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ _BEFORE_S = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class ImpactLoops:
-    """Responses to the same blow in several loops.
+    """Responses to the same impact in several loops.
 
     Attributes
     ----------
     time : (n,) array
-        From the blow [s].
+        From the impact [s].
     mean, spread : dict of str to (n, 2) array
-        By loop: position along the blow [m], mean and standard deviation over the blows. The first column is x after
-        blows along x, the second y after blows along y; nan where nothing hit along an axis.
+        By loop: position along the impact [m], mean and standard deviation. The first column is x after
+        impacts along x, the second y after impacts along y; nan where nothing hit along an axis.
     title : str
     """
 
@@ -43,14 +43,14 @@ class ImpactLoops:
 
 
 def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.05) -> ImpactLoops:
-    """Average the responses to the blows of each loop, for `plot_impact_loops`.
+    """Average the responses to the impacts of each loop, for `plot_impact_loops`.
 
     Parameters
     ----------
     studies : dict of str to ImpactStudy
         By the label of the loop; at one operating point.
     duration_s : float
-        How long to show after a blow [s]; less when the next blow comes earlier.
+        How long to show after an impact [s]; less when the next impact comes earlier.
 
     Returns
     -------
@@ -87,8 +87,8 @@ def _averaged(study: ImpactStudy, before: int, after: int) -> tuple[FloatArray, 
     mean, spread = np.full((2, before + after, 2), np.nan)
     for j, axis in enumerate("xy"):
         if any(v.axis == axis for v in study.validations):
-            blows = _cut(validation_along(study, axis), j, before, after)
-            mean[:, j], spread[:, j] = blows.mean(axis=0), blows.std(axis=0, ddof=min(1, len(blows) - 1))
+            impacts = _cut(validation_along(study, axis), j, before, after)
+            mean[:, j], spread[:, j] = impacts.mean(axis=0), impacts.std(axis=0, ddof=min(1, len(impacts) - 1))
     return mean, spread
 
 
@@ -99,7 +99,7 @@ def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
 
 @styled
 def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw the responses of several loops to the same blow, along x above, along y below.
+    """Draw the responses of several loops to the same impact, along x above, along y below.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Fi
     Returns
     -------
     matplotlib.figure.Figure
-        Lines are means over the blows, bands a standard deviation to each side.
+        Lines are means over the impacts, bands a standard deviation to each side.
     """
     figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
     for k, (label, mean) in enumerate(data.mean.items()):
@@ -120,7 +120,7 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Fi
             panel.fill_between(1e3 * data.time, middle - half, middle + half, color=style["color"], alpha=0.2, lw=0)
             panel.plot(1e3 * data.time, middle, label=label, **style)
     for j, axis in enumerate("xy"):
-        axes[j].set_ylabel(f"$p_{axis}$, blow along {axis} [µm]")
+        axes[j].set_ylabel(f"$p_{axis}$, impact along {axis} [µm]")
     letter(axes[:2])
     axes[1].set_xlabel("time [ms]")
     axes[1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])

@@ -1,4 +1,4 @@
-"""Impacts as documents and as tables like the paper's Tables 3 and 4: expected from the model, obtained from blows."""
+"""Impacts as documents and as tables like Tables 3 and 4 of the paper: expected from the model, obtained."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from gbid.lpv import ReferenceModes
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
 
-BLOWS = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
-"""Figures of blows in the rows of responses: name, unit, factor to what tables show."""
+IMPACT_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
+"""Figures of impacts in the rows of responses: name, unit, factor to what tables show."""
 _PAPER = ("open", "closed")
 """Loops that Tables 3 and 4 have."""
 _QUANTITIES = (
@@ -54,7 +54,7 @@ def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequen
         "status": ring.status,
         "success": ring.success,
         "notes": list(ring.notes),
-        "blows": ring.n_blows,
+        "impacts": ring.n_impacts,
         "lag_rates": ring.lag_rates.tolist(),
         "residual_rms": ring.residual_rms.tolist(),
         "modes": mode_rows(study),
@@ -83,7 +83,7 @@ def impact_tables(documents: Sequence[Row]) -> Group:
             if loop not in paper:
                 parts += [_loop_table(f"{where}: {loop}", document), Text("")]
         parts += [_response_table(where, list(here.values())), Text("")]
-        parts += [_blow_table(where, list(here.values())), Text("")]
+        parts += [_impact_figures_table(where, list(here.values())), Text("")]
         for document in here.values():
             parts += [Text(f"note, {document['loop']} loop: {note}") for note in document["notes"]]
             if not document["success"]:
@@ -98,7 +98,7 @@ def _loop_table(title: str, document: Row) -> Table:
     for words, prefix, suffix, more in (
         ("expected from model", "expected", "", 0),
         ("expected as it runs, sampled", "running", "", 0),
-        ("obtained from the blows", "obtained", "", 2),
+        ("obtained from the impacts", "obtained", "", 2),
         ("  standard deviation", "obtained", "_std", 2),
     ):
         cells = []
@@ -119,7 +119,7 @@ def _mode_table(title: str, here: Mapping[str, Row], sign: str, unit: str, key: 
     for words, entry, precision in (
         ("expected from model", f"expected_{key}{ending}", digits),
         ("expected as it runs, sampled" if closed else "", f"running_{key}{ending}", digits),
-        ("obtained from the blows", f"obtained_{key}{ending}", digits + 2),
+        ("obtained from the impacts", f"obtained_{key}{ending}", digits + 2),
         ("  standard deviation", f"obtained_{key}_std{ending}", digits + 2),
     ):
         if words:
@@ -133,13 +133,13 @@ def _mode_table(title: str, here: Mapping[str, Row], sign: str, unit: str, key: 
 
 def _response_table(where: str, documents: Sequence[Row]) -> Table:
     title = f"{where}: measured against simulated responses, p = g_f G f"
-    heads = ["recording", "blows", "g_f \\[1/kg]", "std", "fit along\nthe blow \\[%]", "fit x \\[%]", "fit y \\[%]"]
+    heads = ["recording", "impacts", "g_f \\[1/kg]", "std", "fit along\nthe impact \\[%]", "fit x \\[%]", "fit y \\[%]"]
     table = new_table(title, heads)
     for document in documents:
         for row in document["responses"]:
             table.add_row(
                 row["recording"],
-                str(row["blows"]),
+                str(row["impacts"]),
                 f"{row['force_scale [1/kg]']:.4f}",
                 f"{row['force_scale_std [1/kg]']:.4f}",
                 *(f"{row[key]:.2f}" for key in ("fit_along [%]", "fit_x [%]", "fit_y [%]")),
@@ -147,9 +147,9 @@ def _response_table(where: str, documents: Sequence[Row]) -> Table:
     return table
 
 
-def _blow_table(where: str, documents: Sequence[Row]) -> Table:
-    """Lay out what a blow does to disc and piezos, measured and simulated."""
-    title = f"{where}: after a blow, mean over the blows"
+def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
+    """Lay out what an impact does to disc and piezos, measured and simulated."""
+    title = f"{where}: after an impact, mean over the impacts"
     heads = ["recording"]
     for what, unit in (("disc up to", "um"), ("over after", "ms"), ("piezo up to", "um")):
         heads += [f"{what}\n\\[{unit}]", "std", "simulated"]
@@ -157,7 +157,7 @@ def _blow_table(where: str, documents: Sequence[Row]) -> Table:
     for document in documents:
         for row in document["responses"]:
             cells = []
-            for name, unit, factor in BLOWS:
+            for name, unit, factor in IMPACT_FIGURES:
                 for suffix in ("", "_std", "_simulated"):
                     cells.append(_cell(factor * row[f"{name}{suffix} [{unit}]"], 2))
             table.add_row(row["recording"], *cells)

@@ -23,7 +23,7 @@ from gbid.report.surfaces import Surface, surfaces_data
 from gbid.structure import KEY_PARAMETERS
 from gbid.validate import NominalActuator, ValidationSummary
 
-_BEFORE = 25  # samples shown before a blow
+_BEFORE = 25  # samples shown before an impact
 _PAIRS = ("xx", "xy", "yx", "yy")
 _MODES = {"frequency": "omega", "damping": "zeta"}
 
@@ -124,7 +124,7 @@ def fit_over_pressure_data(
 
 
 def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
-    """Lay the first blow of either loop over each other, for `plot_impact` (Figs. 22, 23, 26, 27).
+    """Lay the first impact of either loop over each other, for `plot_impact` (Figs. 22, 23, 26, 27).
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
     Returns
     -------
     ImpactCurves
-        Positions as measured, less their offset: unbalance and run-out are in them. Time counts from the blow.
+        Positions as measured, less their offset: unbalance and run-out are in them. Time counts from the impact.
 
     Raises
     ------
@@ -158,7 +158,7 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
 
 
 def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
-    """Lay measured and simulated response to the first blow over each other, for `plot_impact` (Figs. 24, 25).
+    """Lay measured and simulated response to the first impact over each other, for `plot_impact` (Figs. 24, 25).
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
         {"measured": measured, "simulated": v.simulated[part, j]},
         {},
         axis,
-        f"{place}, {study.loop} loop, fit over all blows {v.along_percent:.1f} %",
+        f"{place}, {study.loop} loop, fit over all impacts {v.along_percent:.1f} %",
     )
 
 
@@ -200,7 +200,7 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
         if validation.axis == axis:
             return validation
     there = ", ".join(v.axis for v in study.validations) or "none"
-    raise UsageError(f"no blow along {axis} in {study.loop} loop; there is {there}")
+    raise UsageError(f"no impact along {axis} in {study.loop} loop; there is {there}")
 
 
 def piezo_data(
@@ -227,5 +227,5 @@ def piezo_data(
 
 
 def _until_next(validation: ImpactValidation) -> int:
-    """Sample at which the second blow begins, or the end."""
+    """Sample at which the second impact begins, or the end."""
     return validation.windows[1][0] if len(validation.windows) > 1 else len(validation.time)

@@ -1,4 +1,4 @@
-"""What a controller is worth: the Pareto front of robustness and damping, and damping over the operating range."""
+"""Performance of a controller: the Pareto front of robustness and damping, and damping over the operating range."""
 
 from __future__ import annotations
 

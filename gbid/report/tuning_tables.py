@@ -27,12 +27,12 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
             "path": paths["tune", name],
             "controller": paths.get(("controller", name)),
             "plant": design.plant,
-            "structure": design.worth[0].structure,
+            "structure": design.performance[0].structure,
             **_result_row(design.result),
             "points": [list(point) for point in design.result.points],
             "sample_time_s": design.sample_time,
             "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
-            "worth": [_worth_row(worth) for worth in design.worth],
+            "performance": [_performance_row(performance) for performance in design.performance],
             "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
         }
         for name, design in designs.items()
@@ -49,21 +49,23 @@ def tuning_tables(documents: Sequence[Row]) -> Group:
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for document in documents:
-        blow = tuple(document["impact"].values())
+        impact = tuple(document["impact"].values())
         points = tuple(map(tuple, document["points"]))
-        groups.setdefault((document["plant"], points, blow, document["sample_time_s"]), []).append(document)
+        groups.setdefault((document["plant"], points, impact, document["sample_time_s"]), []).append(document)
     parts: list[Table | Text] = []
     for (plant, points, (peak, duration), sample_time), group in groups.items():
         where = f"{points[0][0]:g} bar, {points[0][1]:g} rpm" if len(points) == 1 else f"{len(points)} operating points"
         note = (
-            f"disc and stack under a half-sine blow of {peak:g} N, {1e3 * duration:g} ms; "
+            f"disc and stack under a half-sine impact of {peak:g} N, {1e3 * duration:g} ms; "
             f"sampled at {1e3 * sample_time:g} ms with one sample for computation"
         )
-        worths = [document["worth"][0] for document in group] + group[0]["worth"][1:]
-        table = new_table(f"{plant}, worst over {where}", ["", *(worth["name"] for worth in worths)], left=("",))
+        performances = [document["performance"][0] for document in group] + group[0]["performance"][1:]
+        table = new_table(
+            f"{plant}, worst over {where}", ["", *(performance["name"] for performance in performances)], left=("",)
+        )
         for heading, figure, factor, form in COLUMNS:
             table.add_row(
-                heading.replace("[", "\\["), *(format(factor * w["worst"][figure]["value"], form) for w in worths)
+                heading.replace("[", "\\["), *(format(factor * w["worst"][figure]["value"], form) for w in performances)
             )
         parts += [table, Text(note), Text("")]
         for document in group:
@@ -107,17 +109,17 @@ def _result_row(result: GainResult) -> Row:
     }
 
 
-def _worth_row(worth: DesignFigures) -> Row:
+def _performance_row(performance: DesignFigures) -> Row:
     return {
-        "name": worth.name,
-        "structure": worth.structure,
-        "gains": dict(worth.gains),
+        "name": performance.name,
+        "structure": performance.structure,
+        "gains": dict(performance.gains),
         "worst": {
             figure: {"value": value, "pressure_bar": point[0], "speed_rpm": point[1]}
-            for figure, (value, point) in worth.worst.items()
+            for figure, (value, point) in performance.worst.items()
         },
         "points": [
             {"pressure_bar": float(p), "speed_rpm": float(n), **dict(zip(FIGURES, map(float, row), strict=True))}
-            for (p, n), row in zip(worth.points, worth.figures, strict=True)
+            for (p, n), row in zip(performance.points, performance.figures, strict=True)
         ],
     }

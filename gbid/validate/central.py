@@ -11,8 +11,7 @@ from scipy.special import stdtrit
 
 from gbid.brief import brief, estimates
 from gbid.errors import DataError, UsageError
-from gbid.identify import FitResult, FitTable, TableEntry
-from gbid.identify.table import tabulate
+from gbid.identify import FitResult, FitTable, TableEntry, tabulate
 
 FloatArray = npt.NDArray[np.float64]
 

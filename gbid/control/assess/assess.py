@@ -1,4 +1,4 @@
-"""What a design is worth: the same figures for each, point by point and at their worst."""
+"""Performance of designs: the same figures for each, point by point and at their worst."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Assessment:
     method : str
         How the controller was sampled.
     impact : HalfSine
-        The blow; its direction is turned to x and y.
+        The impact; its direction is turned to x and y.
     """
 
     name: str
@@ -84,7 +84,7 @@ def assess(
     method: Method = "tustin",
     impact: HalfSine | None = None,
 ) -> Assessment:
-    """Work out what a design is worth over operating points.
+    """Assess the performance of a design over operating points.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def assess(
     method : {"tustin", "zoh"}
         How the controller is sampled.
     impact : HalfSine, optional
-        Reference blow, along x and along y; the default of `HalfSine` when not given.
+        Reference impact, along x and along y; the default of `HalfSine` when not given.
 
     Returns
     -------

@@ -59,7 +59,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
     Parameters
     ----------
     assessments : sequence of Assessment
-        Over the same operating points, with the same blow and sampling.
+        Over the same operating points, with the same impact and sampling.
 
     Returns
     -------
@@ -76,7 +76,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
     for other in assessments[1:]:
         if _conditions(other) != _conditions(first):
             raise UsageError(
-                f"compare_designs: {other.name!r} and {first.name!r} were assessed at other points, with another blow "
+                f"compare_designs: {other.name!r} and {first.name!r} were assessed at other points, with other impacts "
                 "or another sampling; assess them alike"
             )
     values = tuple(

@@ -137,7 +137,7 @@ def assess_point(
     closed = loop.model("plant")
     travel = lpv.rig["piezo_travel"].to("m") if "piezo_travel" in lpv.rig else 45e-6
     actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
-    blows = [
+    impacts = [
         impact_response(plant, controller, turned, actuators=actuators, piezo_travel_m=travel)
         for turned in (impact.towards(0.0), impact.towards(90.0))
     ]
@@ -155,16 +155,16 @@ def assess_point(
         disk_margin(loop),
         static_amplification(loop) if stable else inf,
         tuple(float(ratio) for ratio in stiffness),
-        _largest(blows, "peak_p_m"),
-        _largest(blows, "peak_r_m"),
-        _largest(blows, "stack_travel_m"),
-        any(blow.exceeds_travel for blow in blows),
-        _largest(blows, "decay_time_s"),
+        _largest(impacts, "peak_p_m"),
+        _largest(impacts, "peak_r_m"),
+        _largest(impacts, "stack_travel_m"),
+        any(impact.exceeds_travel for impact in impacts),
+        _largest(impacts, "decay_time_s"),
         sampled.stable,
         sampled.damping,
         sampled.peak_output,
     )
 
 
-def _largest(blows: Sequence[ImpactResponse], figure: str) -> float:
-    return max(float(getattr(blow, figure)) for blow in blows)
+def _largest(impacts: Sequence[ImpactResponse], figure: str) -> float:
+    return max(float(getattr(impact, figure)) for impact in impacts)

@@ -1,4 +1,4 @@
-"""A tuned design with what it is worth, in HDF5 (kind ``tuning``)."""
+"""Tuned design and its performance, in HDF5 (kind ``tuning``)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _LISTS = ("active", "notes")
 
 @dataclass(frozen=True, eq=False)
 class DesignFigures:
-    """What a design is worth at operating points, as numbers.
+    """Performance of a design at operating points, as numbers.
 
     Attributes
     ----------
@@ -72,12 +72,12 @@ class TunedDesign:
         Name of the model that it was tuned on.
     result : GainResult
         Without its structure when read from a file; the controller file has it.
-    worth : tuple of DesignFigures
+    performance : tuple of DesignFigures
         Of the design, and of the published one where there is one.
     front : tuple of (cap, GainResult)
         Designs of the same structure under other caps on the peak of S_o, rising.
     impact : HalfSine
-        The blow of the figures.
+        The impact of the figures.
     sample_time : float
         Of their sampled loop [s].
     """
@@ -85,7 +85,7 @@ class TunedDesign:
     name: str
     plant: str
     result: GainResult
-    worth: tuple[DesignFigures, ...]
+    performance: tuple[DesignFigures, ...]
     front: tuple[tuple[float, GainResult], ...]
     impact: HalfSine
     sample_time: float
@@ -105,12 +105,12 @@ def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -
         file.attrs.update({"name": design.name, "plant": design.plant, "sample_time": design.sample_time})
         file.attrs.update({"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s})
         _write_result(file.create_group("result"), design.result)
-        for i, worth in enumerate(design.worth):
-            group = file.create_group(f"worth/{i:03d}")
-            group.attrs.update({"name": worth.name, "structure": worth.structure})
-            _write_gains(group, worth.gains)
-            add_dataset(group, "points", worth.points, "bar, rpm", "operating points")
-            add_dataset(group, "figures", worth.figures, "SI", "figures of the design at the points")
+        for i, performance in enumerate(design.performance):
+            group = file.create_group(f"performance/{i:03d}")
+            group.attrs.update({"name": performance.name, "structure": performance.structure})
+            _write_gains(group, performance.gains)
+            add_dataset(group, "points", performance.points, "bar, rpm", "operating points")
+            add_dataset(group, "figures", performance.figures, "SI", "figures of the design at the points")
             _write_texts(group["figures"], "columns", FIGURES)
         for i, (cap, result) in enumerate(design.front):
             group = file.create_group(f"front/{i:03d}")
@@ -127,7 +127,7 @@ def load_tuned(path: str | Path) -> TunedDesign:
         When the file is missing, unreadable, incomplete or of another kind.
     """
     with reading(path, KIND) as file:
-        worth = tuple(
+        performance = tuple(
             DesignFigures(
                 str(read_attribute(group, "name")),
                 str(read_attribute(group, "structure")),
@@ -135,13 +135,19 @@ def load_tuned(path: str | Path) -> TunedDesign:
                 read_dataset(group, "points"),
                 read_dataset(group, "figures"),
             )
-            for group in file.get("worth", {}).values()
+            for group in file.get("performance", {}).values()
         )
         front = tuple((float(read_attribute(g, "cap")), _read_result(g)) for g in file.get("front", {}).values())
-        blow = HalfSine(*(float(read_attribute(file, key)) for key in ("peak_n", "duration_s")))
+        impact = HalfSine(*(float(read_attribute(file, key)) for key in ("peak_n", "duration_s")))
         name, plant = (str(read_attribute(file, key)) for key in ("name", "plant"))
         return TunedDesign(
-            name, plant, _read_result(file["result"]), worth, front, blow, float(read_attribute(file, "sample_time"))
+            name,
+            plant,
+            _read_result(file["result"]),
+            performance,
+            front,
+            impact,
+            float(read_attribute(file, "sample_time")),
         )
 
 

@@ -1,4 +1,4 @@
-"""What blows do to disc and piezos: largest motion, time until it is over, measured and simulated."""
+"""What impacts do to disc and piezos: largest motion, time until it is over, measured and simulated."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ _QUIET = 50  # samples between responses that the noise needs
 
 
 @dataclass(frozen=True)
-class BlowFigures:
-    """Figures of the blows of one recording: means over the blows and, measured, standard deviations.
+class ImpactFigures:
+    """Figures of the impacts of one recording: means over the impacts and, measured, standard deviations.
 
     Attributes
     ----------
     peak_m, peak_std_m, peak_simulated_m : float
         Largest distance of the disc from where it was [m]. What is measured holds the noise of the sensor.
     decay_s, decay_std_s, decay_simulated_s : float
-        From the blow until 95 % of the energy of the response, the noise's taken off, has passed [s].
+        From the impact until 95 % of the energy of the response, the noise's taken off, has passed [s].
         An amplitude that falls as exp(-d t) has lost 78 % by then.
     piezo_m, piezo_std_m, piezo_simulated_m : float
         Largest motion of a stack out of its middle, ``|u| / 2`` [m]. What is measured holds what the controller makes
@@ -47,15 +47,15 @@ class BlowFigures:
     piezo_simulated_m: float
 
 
-FIELDS = tuple(field.name for field in fields(BlowFigures))
+FIELDS = tuple(field.name for field in fields(ImpactFigures))
 
 
-def blow_figures(
+def impact_figures(
     recording: Recording,
     validation: ImpactValidation,
     actuators: LinearModel,
     controller: LinearModel | None = None,
-) -> BlowFigures:
+) -> ImpactFigures:
     """Work out the figures of a recording.
 
     Parameters
@@ -71,7 +71,7 @@ def blow_figures(
 
     Returns
     -------
-    BlowFigures
+    ImpactFigures
     """
     v, h = validation, recording.sample_time
     moved = v.measured - v.stationary
@@ -89,7 +89,7 @@ def blow_figures(
         left = u - driven
         measured = u - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
         stacks = [(float(np.abs(measured[a:b]).max()) / 2, s) for (a, b), (_, s) in zip(v.windows, stacks, strict=True)]
-    return BlowFigures(*_told(peaks), *_told(decays), *_told(stacks))
+    return ImpactFigures(*_told(peaks), *_told(decays), *_told(stacks))
 
 
 def _told(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
@@ -100,7 +100,7 @@ def _told(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
 
 
 def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[FloatArray]:
-    """Distance of the disc after each blow."""
+    """Distance of the disc after each impact."""
     for start, stop in validation.windows:
         yield np.hypot(*position[start:stop].T)
 

@@ -29,7 +29,7 @@ def force_response(
     computation_s: float | None = None,
     entry: FloatArray | None = None,
 ) -> FloatArray:
-    r"""Simulate the disc under the force of some blows, for a mass of 1 kg.
+    r"""Simulate the disc under the force of some impacts, for a mass of 1 kg.
 
     .. math:: p = G_b f \quad\text{(open loop, Eq. 8)}, \qquad p = S_o G_b f \quad\text{(closed loop, Eq. 22)}
 

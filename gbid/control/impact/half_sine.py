@@ -1,4 +1,4 @@
-"""Response of the rotor to the blow of a hammer, open and closed loop: paper, Sec. 5.1."""
+"""Response of the rotor to the impact of a hammer, open and closed loop: paper, Sec. 5.1."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DECAYED = 0.05
 
 @dataclass(frozen=True)
 class HalfSine:
-    """A blow ``f(t) = peak sin(pi t / duration)`` on the rotor.
+    """An impact ``f(t) = peak sin(pi t / duration)`` on the rotor.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class HalfSine:
     -----
     The paper does not give the mass. The default is that of the rig, `gbid.rig.Machine.moving_mass`: disc and shaft of
     Table 1 turn about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
-    default blow moves the disc by some 8 of the 25 um of clearance.
+    default impact moves the disc by some 8 of the 25 um of clearance.
     """
 
     peak_n: float = 12.0
@@ -57,7 +57,7 @@ class HalfSine:
             raise UsageError(f"impact: direction_deg = {self.direction_deg}; give a finite number")
 
     def towards(self, direction_deg: float) -> HalfSine:
-        """Return the same blow in another direction.
+        """Return the same impact in another direction.
 
         Parameters
         ----------
@@ -69,7 +69,7 @@ class HalfSine:
 
 @dataclass(frozen=True, eq=False)
 class ImpactResponse:
-    """Response to a blow from rest.
+    """Response to an impact from rest.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ class ImpactResponse:
     peak_r_m, peak_u_m : float
         Largest entry of ``|r|`` and ``|u|`` [m].
     decay_time_s : float
-        From the start of the blow until the distance stays below 5 % of its peak [s]; infinite when that is not
+        From the start of the impact until the distance stays below 5 % of its peak [s]; infinite when that is not
         reached within the time simulated.
     stack_travel_m : float
         Largest motion of a single stack out of its middle, commanded or moved [m]: ``|r|``, or ``|u| / 2``.
@@ -118,7 +118,7 @@ def impact_response(
     piezo_travel_m: float = 45e-6,
     entry: FloatArray | None = None,
 ) -> ImpactResponse:
-    """Simulate a blow on the rotor, which enters without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
+    """Simulate an impact on the rotor, which enters without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
 
     Parameters
     ----------

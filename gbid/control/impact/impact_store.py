@@ -9,8 +9,8 @@ from typing import Any
 import h5py
 import numpy as np
 
-from gbid.control.impact.figures_of_merit import FIELDS, BlowFigures
-from gbid.control.impact.measured import Blow
+from gbid.control.impact.figures_of_merit import FIELDS, ImpactFigures
+from gbid.control.impact.measured import MeasuredImpact
 from gbid.control.impact.ringdown.ringdown_result import RingDown
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
@@ -35,7 +35,7 @@ _CURVES = {
     "simulated": ("m", "simulated response, scaled"),
     "force": ("N", "measured force"),
     "fit_percent": ("%", "fit of simulated to measured response, x and y"),
-    "windows": ("1", "samples of each blow and the response to it"),
+    "windows": ("1", "samples of each impact and the response to it"),
 }
 _MODES = {"expected": "modes of the model", "expected_running": "modes of the loop as it runs"}
 
@@ -66,8 +66,10 @@ def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) 
         for i, validation in enumerate(study.validations):
             group = file.create_group(f"responses/{i:03d}")
             _write(group, validation, _CURVES, compress=True)
-            group.create_dataset("blows", data=np.array([tuple(asdict(b).values()) for b in validation.blows], float))
-            group["blows"].attrs["long_name"] = ", ".join(f.name for f in fields(Blow))
+            group.create_dataset(
+                "impacts", data=np.array([tuple(asdict(b).values()) for b in validation.impacts], float)
+            )
+            group["impacts"].attrs["long_name"] = ", ".join(f.name for f in fields(MeasuredImpact))
         table = np.array([tuple(asdict(q).values()) for q in study.figures], float).reshape(-1, len(FIELDS))
         add_dataset(file, "figures", table, "m, s", ", ".join(FIELDS))
 
@@ -88,11 +90,11 @@ def load_impacts(path: str | Path) -> ImpactStudy:
         modes = {n: tuple((float(f), float(z)) for f, z in read_dataset(file, n)) for n in _MODES}
         validations = []
         for group in file["responses"].values():
-            rows = read_dataset(group, "blows")
-            blows = tuple(Blow(int(a), int(b), float(p), float(d), int(k)) for a, b, p, d, k in rows)
+            rows = read_dataset(group, "impacts")
+            impacts = tuple(MeasuredImpact(int(a), int(b), float(p), float(d), int(k)) for a, b, p, d, k in rows)
             found = _read(group, ImpactValidation, _CURVES)
             found["windows"] = tuple((int(a), int(b)) for a, b in found["windows"])
-            validations.append(ImpactValidation(**found, blows=blows))
+            validations.append(ImpactValidation(**found, impacts=impacts))
         return ImpactStudy(
             {key: float(value) for key, value in file["conditions"].attrs.items()},
             str(read_attribute(file, "loop")),
@@ -102,7 +104,7 @@ def load_impacts(path: str | Path) -> ImpactStudy:
             modes["expected_running"],
             RingDown(**_read(file["ringdown"], RingDown, _RINGDOWN)),
             tuple(validations),
-            tuple(BlowFigures(*map(float, row)) for row in read_dataset(file, "figures")),
+            tuple(ImpactFigures(*map(float, row)) for row in read_dataset(file, "figures")),
         )
 
 
@@ -124,7 +126,7 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
             "obtained_damping": float(ring.damping[i]),
             "obtained_damping_std": float(ring.damping_std[i]),
             "lags": len(ring.lag_rates),
-            "blows": ring.n_blows,
+            "impacts": ring.n_impacts,
             "converged": ring.success,
         }
         for i in range(min(2, len(study.expected), len(study.expected_running)))
@@ -132,7 +134,7 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
 
 
 def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
-    """List force scaling, fit, and what the blows do to disc and piezos, a row for each recording."""
+    """List force scaling, fit, and what the impacts do to disc and piezos, a row for each recording."""
     return [
         {
             "recording": v.recording,
@@ -140,7 +142,7 @@ def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
             "speed_rpm": study.conditions["speed_rpm"],
             "loop": study.loop,
             "axis": v.axis,
-            "blows": len(v.blows),
+            "impacts": len(v.impacts),
             "force_scale [1/kg]": v.force_scale,
             "force_scale_std [1/kg]": v.force_scale_std,
             "fit_along [%]": v.along_percent,
@@ -159,7 +161,7 @@ def _write(group: h5py.Group, value: Any, table: dict[str, tuple[str, str]], *, 
         add_dataset(group, name, array, unit, words, **options)
     for item in fields(value):
         entry = getattr(value, item.name)
-        if item.name in table or item.name == "blows":
+        if item.name in table or item.name == "impacts":
             continue
         if isinstance(entry, tuple):
             group.attrs.create(item.name, list(entry), dtype=h5py.string_dtype(), shape=(len(entry),))
@@ -172,7 +174,7 @@ def _read(group: h5py.Group, kind: type, table: dict[str, tuple[str, str]]) -> d
     for item in fields(kind):
         if item.name in table:
             found[item.name] = read_dataset(group, item.name)
-        elif item.name != "blows":
+        elif item.name != "impacts":
             value = read_attribute(group, item.name)
             found[item.name] = (
                 tuple(str(v) for v in value) if np.ndim(value) else value.item() if hasattr(value, "item") else value

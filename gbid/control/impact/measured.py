@@ -1,4 +1,4 @@
-"""Blows of a hammer in a recording: where they are, which way they go, and the force between the samples."""
+"""Impacts of a hammer in a recording: where they are, which way they go, and the force between the samples."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gbid.errors import DataError
 from gbid.recording import Recording
 
 FloatArray = npt.NDArray[np.float64]
-_NOISES = 8.0  # a blow stands so many noise deviations out
+_NOISES = 8.0  # an impact stands so many noise deviations out
 _SHARE = 0.05  # and reaches this share of the largest force
-_BOUNCE_S = 10e-3  # pulses closer than this are one blow: the hammer hit twice
+_BOUNCE_S = 10e-3  # pulses closer than this are one impact: the hammer hit twice
 _FINE = 20  # points to a sample
 _SPLINE = 4  # samples inside a pulse that a cubic spline needs
 
 
 @dataclass(frozen=True)
-class Blow:
-    """A blow in a recording.
+class MeasuredImpact:
+    """An impact in a recording.
 
     Attributes
     ----------
@@ -86,8 +86,8 @@ def force_of(recording: Recording, signal: str = "f", axis: str | None = None) -
     return both
 
 
-def find_blows(force: FloatArray, sample_time: float, name: str = "recording") -> tuple[Blow, ...]:
-    """Find the blows in a measured force.
+def find_impacts(force: FloatArray, sample_time: float, name: str = "recording") -> tuple[MeasuredImpact, ...]:
+    """Find the impacts in a measured force.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def find_blows(force: FloatArray, sample_time: float, name: str = "recording") -
 
     Returns
     -------
-    tuple of Blow
+    tuple of MeasuredImpact
         In the order of time.
 
     Raises
@@ -109,13 +109,13 @@ def find_blows(force: FloatArray, sample_time: float, name: str = "recording") -
         When there is none, or one is not whole in the recording.
     """
     size = np.hypot(*force.T)
-    # the median of |f| is the noise as long as blows are rare, as they are
+    # the median of |f| is the noise as long as impacts are rare, as they are
     noise = float(np.median(size)) / 1.1774
     threshold = max(_NOISES * noise, _SHARE * float(size.max()))
     above = np.flatnonzero(size > threshold)
     if not len(above) or threshold == 0:
         raise DataError(
-            f"recording {name!r}: no blow in the force: at most {size.max():.3g} N over a noise of {noise:.2g} N; "
+            f"recording {name!r}: no impact in the force: at most {size.max():.3g} N over a noise of {noise:.2g} N; "
             "check the signal, or leave the recording out"
         )
     pulses = np.split(above, np.flatnonzero(np.diff(above) > 1) + 1)
@@ -126,10 +126,12 @@ def find_blows(force: FloatArray, sample_time: float, name: str = "recording") -
             groups[-1].append(pulse)
         else:
             groups.append([pulse])
-    return tuple(_blow(force, size, group, noise, name) for group in groups)
+    return tuple(_impact(force, size, group, noise, name) for group in groups)
 
 
-def _blow(force: FloatArray, size: FloatArray, group: list[npt.NDArray[np.int64]], noise: float, name: str) -> Blow:
+def _impact(
+    force: FloatArray, size: FloatArray, group: list[npt.NDArray[np.int64]], noise: float, name: str
+) -> MeasuredImpact:
     """Widen a group of pulses to the samples that are without force."""
     first, last = int(group[0][0]), int(group[-1][-1])
     quiet = 3.0 * noise
@@ -139,21 +141,21 @@ def _blow(force: FloatArray, size: FloatArray, group: list[npt.NDArray[np.int64]
         last += 1
     if size[first] > quiet or size[last] > quiet:
         raise DataError(
-            f"recording {name!r}: the blow at sample {int(group[0][0])} is cut off by its end; leave it out"
+            f"recording {name!r}: the impact at sample {int(group[0][0])} is cut off by its end; leave it out"
         )
     top = first + int(size[first : last + 1].argmax())
     angle = degrees(atan2(float(force[top, 1]), float(force[top, 0])))
-    return Blow(first, last, float(size[top]), angle, len(group))
+    return MeasuredImpact(first, last, float(size[top]), angle, len(group))
 
 
 @dataclass(frozen=True, eq=False)
 class Pulse:
-    """Force of one blow between the samples.
+    """Force of one impact between the samples.
 
     Attributes
     ----------
     start, stop : int
-        As of the blow.
+        As of the impact.
     force : (20 (stop - start) + 1, 2) array
         [N], 20 points to a sample.
     """
@@ -163,8 +165,8 @@ class Pulse:
     force: FloatArray
 
 
-def pulses_of(force: FloatArray, blows: Sequence[Blow]) -> tuple[Pulse, ...]:
-    """Draw the force of each blow through its samples.
+def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pulse, ...]:
+    """Draw the force of each impact through its samples.
 
     A pulse has corners between samples, and outside of it the measured force is noise. So a cubic spline goes through
     the samples inside the pulse alone, and beyond the first and last of these as far as zero. Sums over the samples
@@ -174,17 +176,17 @@ def pulses_of(force: FloatArray, blows: Sequence[Blow]) -> tuple[Pulse, ...]:
     ----------
     force : (n_samples, 2) array
         [N].
-    blows : sequence of Blow
+    impacts : sequence of MeasuredImpact
     """
-    return tuple(Pulse(blow.start, blow.stop, _between(force, blow)) for blow in blows)
+    return tuple(Pulse(impact.start, impact.stop, _between(force, impact)) for impact in impacts)
 
 
-def _between(force: FloatArray, blow: Blow) -> FloatArray:
-    fine = np.linspace(blow.start, blow.stop, _FINE * (blow.stop - blow.start) + 1)
-    along = np.array([np.cos(np.deg2rad(blow.direction_deg)), np.sin(np.deg2rad(blow.direction_deg))])
-    inner = np.arange(blow.start + 1, blow.stop)
-    if blow.pulses > 1 or len(inner) < _SPLINE:  # between hits the force is zero as well: through all samples
-        samples = np.arange(blow.start, blow.stop + 1)
+def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
+    fine = np.linspace(impact.start, impact.stop, _FINE * (impact.stop - impact.start) + 1)
+    along = np.array([np.cos(np.deg2rad(impact.direction_deg)), np.sin(np.deg2rad(impact.direction_deg))])
+    inner = np.arange(impact.start + 1, impact.stop)
+    if impact.pulses > 1 or len(inner) < _SPLINE:  # between hits the force is zero as well: through all samples
+        samples = np.arange(impact.start, impact.stop + 1)
         values = np.array(force[samples])
         values[[0, -1]] = 0.0
         return np.asarray(CubicSpline(samples, values)(fine))

@@ -1,4 +1,4 @@
-"""The modes that a ring-down shows: of all modes of a loop those that a blow excites most."""
+"""The modes that a ring-down shows: of all modes of a loop those that an impact excites most."""
 
 from __future__ import annotations
 

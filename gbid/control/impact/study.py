@@ -1,11 +1,11 @@
-"""Impacts at one operating point, in one loop: what the model expects and what the blows show (Tables 3 and 4)."""
+"""Impacts at one operating point, in one loop: what the model expects and what the impacts show (Tables 3 and 4)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from gbid.control.impact.figures_of_merit import BlowFigures, blow_figures
+from gbid.control.impact.figures_of_merit import ImpactFigures, impact_figures
 from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
 from gbid.control.impact.ringdown.ringdown_result import RingDown
 from gbid.control.impact.ringing_modes import Modes, ringing_modes
@@ -33,10 +33,10 @@ class ImpactStudy:
     expected_running : tuple of (frequency_hz, damping)
         As the loop runs: sampled controller, one sample for its computation, exact delays. As `expected` in open loop.
     ringdown : RingDown
-        Obtained from the blows.
+        Obtained from the impacts.
     validations : tuple of ImpactValidation
         One for each recording, against the loop as it runs.
-    figures : tuple of BlowFigures
+    figures : tuple of ImpactFigures
         One for each recording: largest motion of disc and stacks, time until the response is over.
     """
 
@@ -48,7 +48,7 @@ class ImpactStudy:
     expected_running: Modes
     ringdown: RingDown
     validations: tuple[ImpactValidation, ...]
-    figures: tuple[BlowFigures, ...] = ()
+    figures: tuple[ImpactFigures, ...] = ()
 
 
 def study_impacts(
@@ -95,5 +95,5 @@ def study_impacts(
         expected if sampled is None else ringing_modes(exact, sampled),
         fit_ringdown(recordings, harmonics=harmonics, lags=lags),
         validations,
-        tuple(blow_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
+        tuple(impact_figures(*pair, actuators, sampled) for pair in zip(recordings, validations, strict=True)),
     )

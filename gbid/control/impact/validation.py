@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.impact.force_response import force_response
-from gbid.control.impact.measured import Blow, find_blows, force_of, pulses_of
+from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown.basis import harmonics_for, quiet_basis
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.errors import DataError
@@ -19,7 +19,7 @@ from gbid.validate import fit_percent
 
 FloatArray = npt.NDArray[np.float64]
 _DIED_OUT = 0.01  # the response counts until the simulation is below this share of its largest value
-_BEFORE = 25  # samples before a blow that are shown with it
+_BEFORE = 25  # samples before an impact that are shown with it
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +33,10 @@ class ImpactValidation:
     force_scale_std : float
         Its standard deviation, from residuals that are correlated in time and from the noise of the force.
     fit_percent : (2,) array
-        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the blows, offset and harmonics
+        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the impacts, offset and harmonics
         taken out.
     along_percent : float
-        The same in the direction of the blows alone.
+        The same in the direction of the impacts alone.
     time : (n_samples,) array
         [s].
     measured : (n_samples, 2) array
@@ -48,8 +48,8 @@ class ImpactValidation:
     force : (n_samples, 2) array
         Measured force [N].
     windows : tuple of (start, stop)
-        Samples of each blow and the response to it.
-    blows : tuple of Blow
+        Samples of each impact and the response to it.
+    impacts : tuple of MeasuredImpact
     harmonics : int
         Harmonics of the shaft angle that were estimated along.
     recording, loop : str
@@ -66,25 +66,25 @@ class ImpactValidation:
     simulated: FloatArray
     force: FloatArray
     windows: tuple[tuple[int, int], ...]
-    blows: tuple[Blow, ...]
+    impacts: tuple[MeasuredImpact, ...]
     harmonics: int
     recording: str
     loop: str
 
     @property
     def axis(self) -> str:
-        """``"x"``, ``"y"``, or ``"xy"`` when blows came from both."""
-        return "".join(sorted({blow.axis for blow in self.blows}))
+        """``"x"``, ``"y"``, or ``"xy"`` when impacts came from both."""
+        return "".join(sorted({impact.axis for impact in self.impacts}))
 
-    def window(self, blow: int = 0) -> slice:
-        """Give the samples to show of one blow: a little before it until the response has died out.
+    def window(self, impact: int = 0) -> slice:
+        """Give the samples to show of one impact: a little before it until the response has died out.
 
         Parameters
         ----------
-        blow : int
+        impact : int
             Its number, counted from 0.
         """
-        start, stop = self.windows[blow]
+        start, stop = self.windows[impact]
         return slice(max(0, start - _BEFORE), stop)
 
 
@@ -133,7 +133,7 @@ def validate_impact(
     Raises
     ------
     DataError
-        When the recording has no blow, or a signal is missing or of another shape.
+        When the recording has no impact, or a signal is missing or of another shape.
     UsageError
         When models do not fit together, or the loop is unstable.
     """
@@ -142,8 +142,8 @@ def validate_impact(
     p = recording.signal(position)
     if p.shape[1] != 2:
         raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; an impact needs two")
-    blows = find_blows(f, h, recording.name)
-    response = force_response(plant, controller, pulses_of(f, blows), n, h, computation_s=computation_s, entry=entry)
+    impacts = find_impacts(f, h, recording.name)
+    response = force_response(plant, controller, pulses_of(f, impacts), n, h, computation_s=computation_s, entry=entry)
     count = harmonics_for(recording, harmonics)
     basis = quiet_basis(recording, count)
     q, r = np.linalg.qr(basis)
@@ -154,15 +154,17 @@ def validate_impact(
     simulated = g * response
     measured, stationary = p - quiet[0], basis[:, 1:] @ quiet[1:]
     residual = measured - stationary - simulated
-    windows = _windows(response, blows)
+    windows = _windows(response, impacts)
     rows = np.concatenate([np.arange(*window) for window in windows])
     moved, modelled = (measured - stationary)[rows], simulated[rows]
-    angles = np.concatenate([np.full(b - a, blow.direction_deg) for blow, (a, b) in zip(blows, windows, strict=True)])
+    angles = np.concatenate(
+        [np.full(b - a, impact.direction_deg) for impact, (a, b) in zip(impacts, windows, strict=True)]
+    )
     direction = np.column_stack([np.cos(np.deg2rad(angles)), np.sin(np.deg2rad(angles))])
     along = [(part * direction).sum(axis=1)[:, None] for part in (moved, modelled)]
     return ImpactValidation(
         g,
-        _scale_std(g, free, residual, response, f, blows, windows, h),
+        _scale_std(g, free, residual, response, f, impacts, windows, h),
         fit_percent(moved, modelled),
         float(fit_percent(*along)[0]),
         np.asarray(recording.time),
@@ -171,21 +173,21 @@ def validate_impact(
         simulated,
         f,
         windows,
-        blows,
+        impacts,
         count,
         recording.name,
         "open loop" if controller is None else controller.name,
     )
 
 
-def _windows(response: FloatArray, blows: Sequence[Blow]) -> tuple[tuple[int, int], ...]:
-    """From each blow until the response to it has died out, at the latest until the next blow."""
+def _windows(response: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[tuple[int, int], ...]:
+    """From each impact until the response to it has died out, at the latest until the next impact."""
     size = np.hypot(*response.T)
     windows = []
-    for blow, end in zip(blows, [*(b.start for b in blows[1:]), len(size)], strict=True):
-        part = size[blow.start : end]
+    for impact, end in zip(impacts, [*(b.start for b in impacts[1:]), len(size)], strict=True):
+        part = size[impact.start : end]
         loud = np.flatnonzero(part > _DIED_OUT * part.max())
-        windows.append((blow.start, blow.start + int(loud[-1]) + 1))
+        windows.append((impact.start, impact.start + int(loud[-1]) + 1))
     return tuple(windows)
 
 
@@ -195,7 +197,7 @@ def _scale_std(
     residual: FloatArray,
     response: FloatArray,
     force: FloatArray,
-    blows: Sequence[Blow],
+    impacts: Sequence[MeasuredImpact],
     windows: Sequence[tuple[int, int]],
     h: float,
 ) -> float:
@@ -203,11 +205,11 @@ def _scale_std(
     used = np.ones(len(free), dtype=bool)
     memory = autocovariance([residual], [used], round(MEMORY_S / h))
     from_position = float(sandwich([free[:, :, None]], memory)[0, 0]) / float((free**2).sum()) ** 2
-    for blow in blows:
-        used[blow.start : blow.stop + 1] = False
+    for impact in impacts:
+        used[impact.start : impact.stop + 1] = False
     noise = float(np.sqrt(np.mean(force[used] ** 2)))
     energies = np.array([float((response[a:b] ** 2).sum()) for a, b in windows])
-    impulses = np.array([np.hypot(*force[b.start : b.stop + 1].sum(axis=0)) for b in blows])
-    relative = noise * np.sqrt([b.stop - b.start + 1 for b in blows]) / impulses
+    impulses = np.array([np.hypot(*force[b.start : b.stop + 1].sum(axis=0)) for b in impacts])
+    relative = noise * np.sqrt([b.stop - b.start + 1 for b in impacts]) / impulses
     from_force = g**2 * float((energies**2 * relative**2).sum()) / float(energies.sum()) ** 2
     return float(np.sqrt(from_position + from_force))

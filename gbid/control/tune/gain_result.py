@@ -19,8 +19,8 @@ class SearchStep:
     Attributes
     ----------
     stage : str
-        ``"global"``, ``"polish"``, ``"shake"``, ``"cut"`` (a peak that the grid had missed) or ``"points"`` (worst
-        points added).
+        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak that the grid had missed) or
+        ``"points"`` (worst points added).
     count : int
         Designs evaluated so far.
     value : float

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.tune.gain_result import GainResult, SearchStep, Status
-from gbid.control.tune.search.global_search import FEASIBLE, Effort, Found, Progress, search
+from gbid.control.tune.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
 from gbid.control.tune.search.limits import Limits, Objective
 from gbid.control.tune.search.loop_family import FloatArray, families_of
-from gbid.control.tune.search.problem import Problem
-from gbid.control.tune.search.sqp import Polished, polish
+from gbid.control.tune.search.problem import GainProblem
+from gbid.control.tune.search.sqp import LocalOptimum, optimise_locally
 from gbid.control.tune.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
 
@@ -95,38 +95,38 @@ def maximise_damping(
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
     limits = Limits(objective, slowest_pole)
-    problem = Problem(families, limits, low, high, typical_rate(families, neutral))
+    problem = GainProblem(families, limits, low, high, typical_rate(families, neutral))
     given = [] if start is None else [as_start(start, names)]
-    polished, history = solve(problem, neutral, Effort(starts, seed), given, progress)
+    optimum, history = solve(problem, neutral, Effort(starts, seed), given, progress)
     count = sum(len(family) for family in families)
-    return summarise(problem, polished, names, history, f"eigenvalues of the {count} closed-loop matrices")
+    return summarise(problem, optimum, names, history, f"eigenvalues of the {count} closed-loop matrices")
 
 
 def solve(
-    problem: Problem,
+    problem: GainProblem,
     neutral: FloatArray,
     effort: Effort,
     first: Iterable[FloatArray] = (),
     progress: Progress | None = None,
-    found: Polished | None = None,
-) -> tuple[Polished, tuple[SearchStep, ...]]:
+    found: LocalOptimum | None = None,
+) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
     """Search, or climb from a design found before; then add the peaks that a grid had missed until there are none."""
     if found is None:
         result = search(problem, neutral, effort, first, progress)
     else:
-        result = Found(polish(problem, found.x, max_iterations=300, radius=0.02), ())
+        result = SearchOutcome(optimise_locally(problem, found.x, max_iterations=300, radius=0.02), ())
     best, history = result.best, list(result.history)
     for _ in range(10):
         if not add_cuts(problem, best.x):
             break
-        best = polish(problem, best.x, max_iterations=200, radius=0.02)
+        best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
         history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
         if progress is not None:
             progress(history[-1])
     return best, tuple(history)
 
 
-def add_cuts(problem: Problem, x: FloatArray) -> bool:
+def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
     """Note frequencies at which exact norms exceed their limit by more than the grid knew; whether there were any."""
     known = problem.score(x).violation
     added = False
@@ -142,8 +142,8 @@ def add_cuts(problem: Problem, x: FloatArray) -> bool:
 
 
 def summarise(
-    problem: Problem,
-    found: Polished,
+    problem: GainProblem,
+    found: LocalOptimum,
     names: tuple[str, ...],
     history: tuple[SearchStep, ...],
     verified_on: str,
@@ -182,7 +182,7 @@ def _mode(worst: Any) -> str:
     return f"its worst mode has {worst.frequency_hz:.4g} Hz and damping {worst.damping:.4g}"
 
 
-def _peaks(problem: Problem, x: FloatArray, stable: bool) -> dict[str, float]:
+def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float]:
     """Exact peaks over all loops that have the outputs for it."""
     families = [family for family in problem.families if family.n_outputs]
     if not families or not stable:
@@ -194,7 +194,7 @@ def _peaks(problem: Problem, x: FloatArray, stable: bool) -> dict[str, float]:
     }
 
 
-def _active(problem: Problem, x: FloatArray, names: tuple[str, ...], stable: bool) -> tuple[str, ...]:
+def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable: bool) -> tuple[str, ...]:
     width = problem.upper - problem.lower
     bounds = [f"{n} at its lower bound" for n, at in zip(names, x - problem.lower < 1e-6 * width, strict=True) if at]
     bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
@@ -202,7 +202,7 @@ def _active(problem: Problem, x: FloatArray, names: tuple[str, ...], stable: boo
         return tuple(bounds)
     limits = []
     located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
-    for piece in problem.pieces(x).limits:
+    for piece in problem.functions(x).limits:
         if piece.value > -1e-4:
             family = problem.families[piece.family]
             where = f" at {family.labels[piece.loop]}" if piece.kind in located else ""

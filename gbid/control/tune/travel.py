@@ -1,4 +1,4 @@
-"""Piezo travel under a blow, as a limit of a design."""
+"""Piezo travel under an impact, as a limit of a design."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ZOOM = np.linspace(-1.0, 1.0, 17)
 
 
 def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) -> ExtraLimit:
-    """Limit the motion of every stack to half its travel, under the blow in x and in y, in every loop.
+    """Limit the motion of every stack to half its travel, under the impact in x and in y, in every loop.
 
     Parameters
     ----------

@@ -17,9 +17,9 @@ from gbid.control.tune.search.global_search import Effort, Progress
 from gbid.control.tune.search.limits import Limits, Objective
 from gbid.control.tune.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
 from gbid.control.tune.search.loop_family import FloatArray, LoopEquations, LoopFamily, loop_equations
-from gbid.control.tune.search.problem import Problem
+from gbid.control.tune.search.problem import GainProblem
 from gbid.control.tune.search.spectrum import ComplexArray
-from gbid.control.tune.search.sqp import Polished
+from gbid.control.tune.search.sqp import LocalOptimum
 from gbid.control.tune.travel import travel_limit
 from gbid.control.tune.uncertainty import Uncertainty
 from gbid.control.tune.verify import distance_to_edge
@@ -82,7 +82,7 @@ def tune(
         Every pole, real ones too, decays at least as fast [1/s]. When not given: as fast as the slowest oscillatory
         mode of the open loop at these points; 0 (stability alone) without a cap on the sensitivity.
     impact : HalfSine, optional
-        Blow under which no piezo stack may leave its travel, in x and in y, at any operating point.
+        Impact under which no piezo stack may leave its travel, in x and in y, at any operating point.
     piezo_travel_m : float
         Whole travel of a stack [m].
     bounds : dict of str to (lower, upper), optional
@@ -148,7 +148,7 @@ def tune(
         model = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
         plant = model.plant_at(float(points[0, 0]), float(points[0, 1]))
         limits = replace(limits, extra=(travel_limit(plant, impact, piezo_travel_m),))
-    problem = Problem((family,), limits, low, high, typical_rate((family,), start_gains))
+    problem = GainProblem((family,), limits, low, high, typical_rate((family,), start_gains))
     problem.linear = setup.gain_limits(points)
     unknown = [name for name in start or {} if name not in names]
     if unknown:
@@ -160,19 +160,19 @@ def tune(
         first.append(
             _constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed), delay_s)
         )
-    polished, history = _solve(problem, setup, points, start_gains, Effort(starts, seed), first, progress)
+    optimum, history = _solve(problem, setup, points, start_gains, Effort(starts, seed), first, progress)
     verified = f"eigenvalues and exact H-infinity norms of {len(family)} loops"
     if over_domain:
-        polished, problem, more, verified = add_worst_points(problem, polished, setup, lpv.domain, progress)
+        optimum, problem, more, verified = add_worst_points(problem, optimum, setup, lpv.domain, progress)
         history += more
     unstable = [f"{P:g} bar, {Omega:g} rpm" for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
     notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
-    notes += _edge_notes(problem, polished, names, peak_sensitivity)
+    notes += _edge_notes(problem, optimum, names, peak_sensitivity)
     used = problem.families[0].points
     assert used is not None
     if sample_time is not None:
         machine = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
-        gains = dict(zip(names, map(float, polished.x), strict=True))
+        gains = dict(zip(names, map(float, optimum.x), strict=True))
         where = sorted({(float(P), float(Omega)) for P, Omega in used})
         truly, (P, Omega) = smallest_sampled_damping(machine, structure, gains, where, sample_time, computation_s)
         notes += (
@@ -181,7 +181,7 @@ def tune(
         )
     return summarise(
         problem,
-        polished,
+        optimum,
         names,
         history,
         verified,
@@ -231,14 +231,14 @@ class _Setup:
 
 
 def _solve(
-    problem: Problem,
+    problem: GainProblem,
     setup: _Setup,
     points: FloatArray,
     neutral: FloatArray,
     effort: Effort,
     first: list[FloatArray],
     progress: Progress | None,
-) -> tuple[Polished, tuple[SearchStep, ...]]:
+) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
     """Search over all loops; of many first over those that matter, adding those that turn out worse.
 
     A design that is best for some of the loops and no worse in the others is best for all. With few gains every
@@ -333,7 +333,7 @@ def _constant_gains(
     low, high, start = _gain_bounds(structure.base, None)
     setup = _Setup(lpv, structure.base, equations, points, uncertainty)
     family = setup.family(points)
-    problem = Problem((family,), limits, low, high, typical_rate((family,), start))
+    problem = GainProblem((family,), limits, low, high, typical_rate((family,), start))
     best, _ = _solve(problem, setup, points, start, effort, [], None)
     values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
     return np.array(
@@ -341,7 +341,9 @@ def _constant_gains(
     )
 
 
-def _edge_notes(problem: Problem, found: Polished, names: tuple[str, ...], cap: float | None) -> tuple[str, ...]:
+def _edge_notes(
+    problem: GainProblem, found: LocalOptimum, names: tuple[str, ...], cap: float | None
+) -> tuple[str, ...]:
     """Say how near the edge a design without a cap lies."""
     if cap is not None or not problem.stable(found.x):
         return ()

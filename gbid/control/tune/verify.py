@@ -10,7 +10,7 @@ import numpy as np
 from gbid.control.loop.norm import largest_singular_values, peak_gain
 from gbid.control.tune.gain_result import WorstMode
 from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
-from gbid.control.tune.search.problem import Problem, rows_of
+from gbid.control.tune.search.problem import GainProblem, rows_of
 from gbid.structure import LinearModel
 
 
@@ -38,7 +38,7 @@ def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
     return np.asarray(largest_singular_values(response.astype(complex)))
 
 
-def worst_mode(problem: Problem, x: FloatArray) -> WorstMode:
+def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
     """Find the mode that holds a design back: a pole that grows before the smallest damping or slowest decay."""
     worst: tuple[float, str, complex] | None = None
     for family in problem.families:
@@ -61,7 +61,7 @@ class Edge:
     change: float
 
 
-def distance_to_edge(problem: Problem, x: FloatArray, names: tuple[str, ...]) -> Edge:
+def distance_to_edge(problem: GainProblem, x: FloatArray, names: tuple[str, ...]) -> Edge:
     """Move each gain alone, either way, until a loop is unstable; to 1 % of the distance."""
     nearest = Edge("", np.inf)
     for i, name in enumerate(names):

@@ -10,8 +10,8 @@ from gbid.control.tune.gain_result import SearchStep
 from gbid.control.tune.maximise import solve
 from gbid.control.tune.search.global_search import Effort, Progress
 from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
-from gbid.control.tune.search.problem import Problem
-from gbid.control.tune.search.sqp import Polished
+from gbid.control.tune.search.problem import GainProblem
+from gbid.control.tune.search.sqp import LocalOptimum
 from gbid.lpv import Domain
 
 TOLERANCE = 5e-5
@@ -27,15 +27,15 @@ class Setup(Protocol):
 
 
 def add_worst_points(
-    problem: Problem, found: Polished, setup: Setup, domain: Domain, progress: Progress | None
-) -> tuple[Polished, Problem, tuple[SearchStep, ...], str]:
+    problem: GainProblem, found: LocalOptimum, setup: Setup, domain: Domain, progress: Progress | None
+) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
     """Exchange: look for points worse than those designed for, add them, climb on.
 
     Parameters
     ----------
-    problem : Problem
+    problem : GainProblem
         Over the first points.
-    found : Polished
+    found : LocalOptimum
         Its optimum.
     setup : Setup
     domain : Domain
@@ -43,8 +43,8 @@ def add_worst_points(
 
     Returns
     -------
-    Polished
-    Problem
+    LocalOptimum
+    GainProblem
         Over all points in the end.
     tuple of SearchStep
     str
@@ -70,7 +70,7 @@ def add_worst_points(
         if progress is not None:
             progress(history[-1])
     else:
-        found = Polished(found.x, found.score, found.iterations, False)
+        found = LocalOptimum(found.x, found.score, found.iterations, False)
     text = (
         f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops; no point of the rectangle worse "
         f"by more than {TOLERANCE:g}, by a {_GRID} x {_GRID} grid with a zoom into its worst places"
@@ -78,7 +78,7 @@ def add_worst_points(
     return found, problem, tuple(history), text
 
 
-def _worse_points(problem: Problem, found: Polished, setup: Setup, domain: Domain) -> FloatArray:
+def _worse_points(problem: GainProblem, found: LocalOptimum, setup: Setup, domain: Domain) -> FloatArray:
     """Points that are worse than the design is at its own, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -99,7 +99,7 @@ def _worse_points(problem: Problem, found: Polished, setup: Setup, domain: Domai
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
 
 
-def measure(problem: Problem, x: FloatArray, setup: Setup, points: FloatArray) -> FloatArray:
+def measure(problem: GainProblem, x: FloatArray, setup: Setup, points: FloatArray) -> FloatArray:
     """How bad a design is at each point, over all plants there: aim with a minus, then each limit (n, m)."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):
@@ -109,7 +109,7 @@ def measure(problem: Problem, x: FloatArray, setup: Setup, points: FloatArray) -
 
 
 def _zoom(
-    problem: Problem, x: FloatArray, setup: Setup, point: FloatArray, step: FloatArray, domain: Domain, which: int
+    problem: GainProblem, x: FloatArray, setup: Setup, point: FloatArray, step: FloatArray, domain: Domain, which: int
 ) -> tuple[FloatArray, float]:
     """Largest value of one measure near a point, by grids that shrink around the best."""
     low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])

@@ -11,8 +11,7 @@ from gbid.experiment.stages.common import Job, Outcome
 from gbid.experiment.stages.fitting import load_made_fit
 from gbid.experiment.stages.pairing import model_key
 from gbid.experiment.stages.performing import produce
-from gbid.identify import TableEntry
-from gbid.identify.table import tabulate
+from gbid.identify import TableEntry, tabulate
 from gbid.validate import NominalActuator, nominal_actuator, save_nominal_actuator
 
 FOLDER = "nominal"

@@ -17,8 +17,7 @@ from gbid.experiment.stages.pairing import model_key
 from gbid.experiment.stages.performing import produce
 from gbid.experiment.stages.prefiltering import load_fit_input
 from gbid.experiment.structures import lpv_actuators, make_structure
-from gbid.identify import TableEntry
-from gbid.identify.table import tabulate
+from gbid.identify import TableEntry, tabulate
 from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit
 from gbid.lpv.load import write_model
 from gbid.lpv.model import ACTUATOR_PARAMETERS
@@ -31,7 +30,7 @@ DIRECT = "_direct"
 
 
 def draw_surfaces(job: Job) -> list[Outcome]:
-    """Write ``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` where the one-shot fit is asked for.
+    """Write ``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` where the direct LPV fit is asked for.
 
     Returns
     -------

@@ -21,9 +21,9 @@ from gbid.control import (
 from gbid.control.assess.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import GbidError
 from gbid.experiment.design_plan import (
-    blow,
     controller_section,
     design_structure,
+    impact,
     named_model,
     published_design,
     sample_time,
@@ -164,21 +164,21 @@ def _tune(job: Job, name: str, part: Path) -> Made:
     }
     result = tune(model, peak_sensitivity=section.peak_sensitivity, **options)
     front = pareto(model, section.pareto, **options) if section.pareto else None
-    worth = _worth(job, section, name, model, structure, result)
+    performance = _performance(job, section, name, model, structure, result)
     design = TunedDesign(
         name,
         model.name,
         result,
-        worth,
+        performance,
         () if front is None else tuple(zip(front.caps, front.designs, strict=True)),
-        blow(section),
+        impact(section),
         sample_time(experiment, section),
     )
     save_tuned(design, part, overwrite=True)
     return _made(design)
 
 
-def _worth(
+def _performance(
     job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
 ) -> tuple[DesignFigures, ...]:
     """Assess the design, and the published one beside it."""
@@ -186,7 +186,7 @@ def _worth(
         "points": result.points,
         "sample_time": sample_time(job.experiment, section),
         "method": section.method,
-        "impact": blow(section),
+        "impact": impact(section),
     }
     own = assess(model, structure, result.gains, **options, name=name)
     came = published_design(job.experiment, model)

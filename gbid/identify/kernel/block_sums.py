@@ -53,7 +53,7 @@ class Prediction(NamedTuple):
     end: FloatArray
 
 
-class Engine(Protocol):
+class PassEngine(Protocol):
     """Something that runs the recursion over all blocks."""
 
     def __call__(

@@ -20,7 +20,7 @@ LANES = 8  # blocks side by side in one vector register of the widest kind
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class Segment:
     """A stretch of one record that runs through without interruption.
 
     Attributes
@@ -47,7 +47,7 @@ class Piece:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Pieces in blocks of equal length, `lanes` blocks to a group; what is short is padded.
+    """Segments in blocks of equal length, `lanes` blocks to a group; what is short is padded.
 
     Attributes
     ----------
@@ -56,18 +56,18 @@ class Blocks:
     used : (n_groups, length, lanes) array
         1 for a sample that enters the cost, 0 for one left out and for padding.
     size : (n_groups * lanes,) integer array
-        Samples in each block; `length` but for the last of a piece, 0 for padding.
+        Samples in each block; `length` but for the last of a segment, 0 for padding.
     per_window : int
-        Blocks in a shooting window; the last window of a piece may have fewer.
+        Blocks in a shooting window; the last window of a segment may have fewer.
     window_first, window_size : (n_windows,) integer array
         First block and number of blocks of each window.
-    piece_first : (n_pieces,) integer array
-        First window of each piece.
+    segment_first : (n_segments,) integer array
+        First window of each segment.
     n_samples : int
         Samples that enter the cost.
     predictor : Predictor
         That the blocks were cut for.
-    pieces : tuple of Piece
+    segments : tuple of Segment
         That were cut.
     """
 
@@ -77,10 +77,10 @@ class Blocks:
     per_window: int
     window_first: IntArray
     window_size: IntArray
-    piece_first: IntArray
+    segment_first: IntArray
     n_samples: int
     predictor: Predictor
-    pieces: tuple[Piece, ...]
+    segments: tuple[Segment, ...]
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
 
     @property
@@ -111,8 +111,8 @@ class Blocks:
 
     @property
     def linked(self) -> IntArray:
-        """Windows whose end must meet the start of the next in the same piece, shape (n_links,)."""
-        last = np.append(self.piece_first[1:], self.n_windows) - 1
+        """Windows whose end must meet the start of the next in the same segment, shape (n_links,)."""
+        last = np.append(self.segment_first[1:], self.n_windows) - 1
         return np.setdiff1d(np.arange(self.n_windows), last)
 
     def z(self, shift: tuple[int, ...]) -> FloatArray:
@@ -120,15 +120,15 @@ class Blocks:
         if shift not in self._regressors:
             if len(self._regressors) > 3:
                 self._regressors.clear()
-            parts = [p.part(self.predictor.regressors(p.inputs, p.outputs, shift)) for p in self.pieces]
+            parts = [p.part(self.predictor.regressors(p.inputs, p.outputs, shift)) for p in self.segments]
             self._regressors[shift] = _in_groups(parts, self.length, self.lanes)
         return self._regressors[shift]
 
     def by_piece(self, values: FloatArray) -> list[FloatArray]:
-        """Put values in blocks, (n_groups, length, n, lanes), back into one (n_samples, n) array per piece."""
+        """Put values in blocks, (n_groups, length, n, lanes), back into one (n_samples, n) array per segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
         result = []
-        first_blocks = self.window_first[self.piece_first]
+        first_blocks = self.window_first[self.segment_first]
         for i, first in enumerate(first_blocks):
             last = first_blocks[i + 1] if i + 1 < len(first_blocks) else self.n_blocks
             joined = rows[first:last].reshape(-1, values.shape[2])
@@ -137,22 +137,22 @@ class Blocks:
 
 
 def cut(
-    data: FitData | Sequence[Piece],
+    data: FitData | Sequence[Segment],
     predictor: Predictor,
     window: int | None,
     *,
     longest_block: int = LONGEST_BLOCK,
     lanes: int = LANES,
 ) -> Blocks:
-    """Cut pieces of records into shooting windows and these into blocks.
+    """Cut segments of records into shooting windows and these into blocks.
 
     Parameters
     ----------
-    data : FitData or sequence of Piece
+    data : FitData or sequence of Segment
     predictor : Predictor
         Says what the regressors are.
     window : int or None
-        Samples in a shooting window; None takes each piece as one window. A window longer than a block is
+        Samples in a shooting window; None takes each segment as one window. A window longer than a block is
         rounded up to whole blocks.
     longest_block : int
         Most samples in a block.
@@ -164,26 +164,28 @@ def cut(
     Blocks
     """
     if isinstance(data, FitData):
-        data = [Piece(record.inputs, record.outputs) for record in data.records]
-    pieces = tuple(data)
-    targets = [piece.part(predictor.targets(piece.outputs)) for piece in pieces]
+        data = [Segment(record.inputs, record.outputs) for record in data.records]
+    segments = tuple(data)
+    targets = [segment.part(predictor.targets(segment.outputs)) for segment in segments]
     longest = max(len(target) for target in targets)
     window = longest if window is None else min(window, longest)
     per_window = -(-window // longest_block)
     length = -(-window // per_window)
     counts = [
-        np.ones((len(target), 1)) if piece.counts is None else piece.part(predictor.targets(piece.counts[:, None]))
-        for piece, target in zip(pieces, targets, strict=True)
+        np.ones((len(target), 1))
+        if segment.counts is None
+        else segment.part(predictor.targets(segment.counts[:, None]))
+        for segment, target in zip(segments, targets, strict=True)
     ]
     first: list[int] = []
     size: list[int] = []
-    piece_first: list[int] = []
+    segment_first: list[int] = []
     block_size: list[int] = []
     for target in targets:
         n = len(target)
         count = -(-n // length)
         starts = np.arange(0, count, per_window)
-        piece_first.append(len(first))
+        segment_first.append(len(first))
         first += (len(block_size) + starts).tolist()
         size += np.minimum(per_window, count - starts).tolist()
         block_size += [length] * (count - 1) + [n - (count - 1) * length]
@@ -196,10 +198,10 @@ def cut(
         per_window,
         np.array(first),
         np.array(size),
-        np.array(piece_first),
+        np.array(segment_first),
         int(sum(count.sum() for count in counts)),
         predictor,
-        pieces,
+        segments,
     )
 
 

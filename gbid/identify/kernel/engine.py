@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
-from gbid.identify.kernel.block_sums import BlockSums, Engine, Prediction
+from gbid.identify.kernel.block_sums import BlockSums, PassEngine, Prediction
 from gbid.identify.kernel.blocks import LANES, Blocks
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.kernel.source import KernelPattern, kernel_source
@@ -26,14 +26,14 @@ class ChosenEngine(NamedTuple):
 
     Attributes
     ----------
-    run : Engine
+    run : PassEngine
     name : str
         ``"compiled"`` or ``"numpy"``.
     note : str
         Why it is not the compiled one, when that was wanted; else empty.
     """
 
-    run: Engine
+    run: PassEngine
     name: str
     note: str
 
@@ -70,7 +70,7 @@ def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenE
 
 
 class CompiledEngine:
-    """The pass as compiled C, built for the nonzeros that it has met; an `Engine`.
+    """The pass as compiled C, built for the nonzeros that it has met; an `PassEngine`.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class CompiledEngine:
     def __call__(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
     ) -> BlockSums:
-        """Run the pass; see `Engine`."""
+        """Run the pass; see `PassEngine`."""
         z = self._fit_for(v, blocks)
         n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
         n_groups, length, _, lanes = z.shape
@@ -126,7 +126,7 @@ class CompiledEngine:
         )
 
     def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
-        """Run the state alone; see `Engine`."""
+        """Run the state alone; see `PassEngine`."""
         z = self._fit_for(v, blocks)
         n_groups, length, _, lanes = z.shape
         n = len(v.F)
@@ -140,7 +140,7 @@ class CompiledEngine:
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Run the adjoint backwards; see `Engine`."""
+        """Run the adjoint backwards; see `PassEngine`."""
         z = self._fit_for(v, blocks)
         n_groups, length, n_z, lanes = z.shape
         n, n_y = len(v.F), len(v.C)

@@ -14,12 +14,12 @@ _CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
 
 
 class NumpyEngine:
-    """The pass in numpy; an `Engine`."""
+    """The pass in numpy; an `PassEngine`."""
 
     def __call__(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
     ) -> BlockSums:
-        """Run the recursion with numpy, some groups at a time; an `Engine`."""
+        """Run the recursion with numpy, some groups at a time; an `PassEngine`."""
         n, n_p = len(v.F), len(v.dF)
         z = blocks.z(v.shift)
         n_groups, length, _, lanes = z.shape
@@ -46,7 +46,7 @@ class NumpyEngine:
         return BlockSums(*totals, *joined)
 
     def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
-        """Run the state alone; see `Engine`."""
+        """Run the state alone; see `PassEngine`."""
         z = blocks.z(v.shift)
         n_groups, length, _, lanes = z.shape
         states = np.empty((length + 1, n_groups, len(v.F), lanes))
@@ -62,7 +62,7 @@ class NumpyEngine:
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Run the adjoint backwards; see `Engine`."""
+        """Run the adjoint backwards; see `PassEngine`."""
         z = blocks.z(v.shift)
         n_groups, length, n, lanes = states.shape
         size = blocks.size.reshape(n_groups, 1, lanes)

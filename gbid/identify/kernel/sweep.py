@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.kernel.block_sums import BlockSums, Engine, Prediction
+from gbid.identify.kernel.block_sums import BlockSums, PassEngine, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.predictor import PredictorValues
@@ -117,19 +117,19 @@ def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transitio
     return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
 
-def from_starts(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: Engine | None = None) -> Prediction:
+def from_starts(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> Prediction:
     """States and errors from the windows' starts (n_windows, n)."""
     run = engine or run_with_numpy
     return run.predict(v, blocks, _block_starts(v, blocks, starts, powers_of(v.F, blocks.length)[-1], run))
 
 
-def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: Engine | None = None) -> FloatArray:
+def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> FloatArray:
     """Prediction errors ``y - yhat``, (n_groups, length, n_y, lanes), zero where samples do not count."""
     return from_starts(v, blocks, starts, engine).errors
 
 
 def _block_starts(
-    v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray, run: Engine
+    v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray, run: PassEngine
 ) -> FloatArray:
     at_rest = np.zeros((len(v.F), len(blocks.size)))
     if blocks.per_window > 1:
@@ -139,7 +139,7 @@ def _block_starts(
 
 
 def sweep(
-    v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatArray, engine: Engine | None = None
+    v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatArray, engine: PassEngine | None = None
 ) -> Sweep:
     """Run the pass.
 
@@ -151,7 +151,7 @@ def sweep(
         State at the start of each window.
     weight : (n_y, n_y) array
         ``W``, positive definite.
-    engine : Engine, optional
+    engine : PassEngine, optional
         Runs the recursion; numpy when not given.
 
     Returns
@@ -169,7 +169,7 @@ def block_sums(
     starts: FloatArray,
     weight: FloatArray,
     powers: FloatArray,
-    engine: Engine | None = None,
+    engine: PassEngine | None = None,
 ) -> tuple[BlockSums, FloatArray]:
     """Run the engine over all blocks; also return the weighted response to a start, (length, n_y, n)."""
     run = engine or run_with_numpy

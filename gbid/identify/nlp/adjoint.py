@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import from_starts, powers_of, scan
-from gbid.identify.nlp.shooting import Part, PartGradient, Shooting
+from gbid.identify.nlp.shooting import GroupGradient, RecordGroup, Shooting
 from gbid.identify.predictor import PredictorValues
 
 FloatArray = npt.NDArray[np.float64]
@@ -61,7 +61,7 @@ def own_gradients(
     starts: FloatArray,
     ends: FloatArray,
     weight: FloatArray | None = None,
-) -> list[PartGradient] | None:
+) -> list[GroupGradient] | None:
     """Derive cost and weighted ends by each predictor's own parameters and the starts of its windows.
 
     Parameters
@@ -76,7 +76,7 @@ def own_gradients(
 
     Returns
     -------
-    list of PartGradient or None
+    list of GroupGradient or None
         In physical units, without the prior; None where the errors overflow.
     """
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
@@ -92,12 +92,12 @@ def own_gradients(
     found = []
     for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
         sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, ends[own])
-        found.append(PartGradient(_by_parameters(v, sums), start))
+        found.append(GroupGradient(_by_parameters(v, sums), start))
     return found
 
 
 def _of_part(
-    v: PredictorValues, part: Part, weighted: FloatArray, states: FloatArray, last: FloatArray
+    v: PredictorValues, part: RecordGroup, weighted: FloatArray, states: FloatArray, last: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return derivatives by the entries of ``[F G; C H]`` and by the windows' starts, (n_windows, n)."""
     blocks, n = part.blocks, len(v.F)

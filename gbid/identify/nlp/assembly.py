@@ -1,4 +1,4 @@
-"""From recordings and options to the shooting problem: pieces, parts, links, and who shares which parameter."""
+"""From recordings and options to the shooting problem: segments, parts, links, and who shares which parameter."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ import numpy.typing as npt
 from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
-from gbid.identify.kernel.blocks import LANES, Piece, cut
+from gbid.identify.kernel.blocks import LANES, Segment, cut
 from gbid.identify.kernel.engine import EngineName, choose_engine
-from gbid.identify.nlp.shooting import Part
+from gbid.identify.nlp.shooting import RecordGroup
 from gbid.identify.nlp.ties import Ties, tie_of
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
 from gbid.structure import Parameter, Structure, evaluate
@@ -36,7 +36,7 @@ class Assembly:
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of RecordGroup
     links : (n_links, 2) integer array
         Windows that must meet, counted over all parts.
     free : tuple of Parameter
@@ -52,7 +52,7 @@ class Assembly:
     notes : tuple of str
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[RecordGroup, ...]
     links: IntArray
     free: tuple[Parameter, ...]
     unused: tuple[str, ...]
@@ -118,28 +118,28 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
-    pieces = [_pieces(record, left_out.get(record.name, ()), predictor) for record in data.records]
+    segments = [_pieces(record, left_out.get(record.name, ()), predictor) for record in data.records]
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
-    gap_predictor = predictor_for("simulation") if any(p.is_gap for record in pieces for p in record) else None
+    gap_predictor = predictor_for("simulation") if any(p.is_gap for record in segments for p in record) else None
 
     builder = _Builder(window, begin, engine)
-    for i, (names, record) in enumerate(zip(record_names, pieces, strict=True)):
-        for piece in record:
-            chosen = gap_predictor if piece.is_gap and gap_predictor is not None else predictor
+    for i, (names, record) in enumerate(zip(record_names, segments, strict=True)):
+        for segment in record:
+            chosen = gap_predictor if segment.is_gap and gap_predictor is not None else predictor
             if ties is None:
-                builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), piece.piece)
+                builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), segment.segment)
             else:
                 index, tie = tie_of(chosen, names, position, ties, i)
-                builder.add(chosen, index, piece.piece, tie)
+                builder.add(chosen, index, segment.segment, tie)
     parts, windows = builder.build()
     return Assembly(
         parts,
-        _links(windows, [len(record) for record in pieces]),
+        _links(windows, [len(record) for record in segments]),
         free,
         predictor.unused,
-        _record_windows(windows, [len(record) for record in pieces]),
+        _record_windows(windows, [len(record) for record in segments]),
         record_names,
         builder.engine_name,
         tuple(dict.fromkeys(builder.notes)),
@@ -148,7 +148,7 @@ def assemble(
 
 @dataclass(frozen=True, eq=False)
 class _Stretch:
-    piece: Piece
+    segment: Segment
     is_gap: bool
 
 
@@ -231,16 +231,16 @@ def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predic
             raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
         counts[start:stop] = 0.0
     if counts.all():
-        return [_Stretch(Piece(record.inputs, record.outputs), False)]
+        return [_Stretch(Segment(record.inputs, record.outputs), False)]
     if not counts.any():
         raise DataError(f"recording {record.name!r}: all samples are left out")
     if not predictor.feeds_back:
-        return [_Stretch(Piece(record.inputs, record.outputs, counts), False)]
+        return [_Stretch(Segment(record.inputs, record.outputs, counts), False)]
     if predictor.horizon > 1:
         raise UsageError("left_out with a disturbance gain and a horizon beyond 1 is not possible; choose one")
     edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
     return [
-        _Stretch(Piece(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
+        _Stretch(Segment(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
         for a, b in itertools.pairwise(edges)
     ]
 
@@ -293,38 +293,40 @@ _Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and
 
 
 class _Builder:
-    """Collects pieces of the same predictor and parameters, and cuts them together."""
+    """Collects segments of the same predictor and parameters, and cuts them together."""
 
     def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
         self._window, self._begin, self._engine = window, begin, engine
-        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Piece]]] = {}
+        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Segment]]] = {}
         self._order: list[tuple[_Key, int]] = []
         self.engine_name = ""
         self.notes: list[str] = []
 
-    def add(self, predictor: Predictor, index: tuple[int, ...], piece: Piece, tie: FloatArray | None = None) -> None:
+    def add(
+        self, predictor: Predictor, index: tuple[int, ...], segment: Segment, tie: FloatArray | None = None
+    ) -> None:
         key = (id(predictor), index, b"" if tie is None else tie.tobytes())
-        _, _, pieces = self._groups.setdefault(key, (predictor, tie, []))
-        self._order.append((key, len(pieces)))
-        pieces.append(piece)
+        _, _, segments = self._groups.setdefault(key, (predictor, tie, []))
+        self._order.append((key, len(segments)))
+        segments.append(segment)
 
-    def build(self) -> tuple[tuple[Part, ...], list[tuple[int, int]]]:
-        """Return the parts, and first and last window (over all parts) of each piece in the order of adding."""
+    def build(self) -> tuple[tuple[RecordGroup, ...], list[tuple[int, int]]]:
+        """Return the parts, and first and last window (over all parts) of each segment in the order of adding."""
         parts, windows_of = [], {}
         engines: dict[int, object] = {}
         base = 0
-        for key, (predictor, tie, pieces) in self._groups.items():
+        for key, (predictor, tie, segments) in self._groups.items():
             predictor_id, index, _ = key
             if predictor_id not in engines:
                 chosen = choose_engine(self._engine, self._samples(predictor))
                 engines[predictor_id] = chosen.run
                 self.engine_name = chosen.name
                 self.notes += [chosen.note] if chosen.note else []
-            blocks = cut(pieces, predictor, self._window)
-            part = Part(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
+            blocks = cut(segments, predictor, self._window)
+            part = RecordGroup(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
             parts.append(part)
-            ends = np.append(blocks.piece_first[1:], blocks.n_windows) - 1
-            for i, (a, b) in enumerate(zip(blocks.piece_first, ends, strict=True)):
+            ends = np.append(blocks.segment_first[1:], blocks.n_windows) - 1
+            for i, (a, b) in enumerate(zip(blocks.segment_first, ends, strict=True)):
                 windows_of[key, i] = (base + int(a), base + int(b))
             base += blocks.n_windows
         return tuple(parts), [windows_of[item] for item in self._order]
@@ -338,7 +340,7 @@ class _Builder:
 
 
 def _links(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
-    """Neighbouring windows within each piece, and over the edges of the pieces of one record."""
+    """Neighbouring windows within each segment, and over the edges of the segments of one record."""
     links, i = [], 0
     for count in pieces_of:
         for j in range(count):

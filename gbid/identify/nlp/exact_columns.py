@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.identify.nlp.adjoint import own_gradients
-from gbid.identify.nlp.shooting import Part, Shooting
+from gbid.identify.nlp.shooting import RecordGroup, Shooting
 from gbid.identify.predictor import PredictorValues
 
 FloatArray = npt.NDArray[np.float64]
@@ -96,7 +96,7 @@ def exact_columns(
 
 
 def _moved(
-    problem: Shooting, part: Part, theta: FloatArray, j: int, units: FloatArray
+    problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray
 ) -> tuple[PredictorValues, float]:
     """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
     own = np.array(part.own(theta), float)

@@ -1,4 +1,4 @@
-"""The same problem with each piece of a record as one window: the last iterations have few unknowns left."""
+"""The same problem with each segment of a record as one window: the last iterations have few unknowns left."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ IntArray = npt.NDArray[np.int64]
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
-    """Join the windows of each piece.
+    """Join the windows of each segment.
 
     Parameters
     ----------
@@ -26,16 +26,19 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     Returns
     -------
     Shooting
-        Windows of different pieces stay linked.
+        Windows of different segments stay linked.
     (n_unknowns of the joined problem,) integer array
         Where its unknowns are among those of the problem given.
     """
-    parts = tuple(replace(part, blocks=cut(part.blocks.pieces, part.predictor, None)) for part in problem.parts)
+    parts = tuple(replace(part, blocks=cut(part.blocks.segments, part.predictor, None)) for part in problem.parts)
     firsts = np.concatenate(
-        [first + part.blocks.piece_first for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)]
+        [
+            first + part.blocks.segment_first
+            for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)
+        ]
     )
     piece_of = np.searchsorted(firsts, np.arange(problem.n_windows), side="right") - 1
-    between = np.isin(problem.links[:, 1], firsts)  # a piece is entered only at its first window
+    between = np.isin(problem.links[:, 1], firsts)  # a segment is entered only at its first window
     links = piece_of[problem.links[between]].reshape(-1, 2)
     n, n_t = problem.n_states, problem.n_theta
     starts = (n_t + firsts[:, None] * n + np.arange(n)).ravel()
@@ -56,10 +59,10 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
 
 
 def _along(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
-    """State at the start of each window, (n_windows, n), from those of the pieces."""
+    """State at the start of each window, (n_windows, n), from those of the segments."""
     forced, transition = forced_states(v, blocks)[-1], powers_of(v.F, blocks.length)[-1]
     passed = np.zeros((blocks.n_windows, len(transition)))
-    passed[blocks.piece_first] = starts
+    passed[blocks.segment_first] = starts
     for window in blocks.linked:
         state = passed[window]
         for block in range(blocks.window_first[window], blocks.window_first[window] + blocks.window_size[window]):

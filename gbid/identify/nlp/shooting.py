@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from gbid.identify.kernel.block_sums import Engine
+from gbid.identify.kernel.block_sums import PassEngine
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import Sweep, residuals, sweep, tied
 from gbid.identify.predictor import Predictor, PredictorValues
@@ -30,8 +30,8 @@ _WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its ne
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Pieces that share one predictor and the same values of its parameters.
+class RecordGroup:
+    """Segments that share one predictor and the same values of its parameters.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class Part:
     blocks : Blocks
     index : (n_p,) integer array
         Which of the problem's parameters are those of the predictor.
-    engine : Engine
+    engine : PassEngine
         Runs the pass.
     tie : (n_own, n_p) array or None
         When the predictor's own parameters are linear in the problem's, ``own = tie @ theta[index]``; None when they
@@ -49,7 +49,7 @@ class Part:
     predictor: Predictor
     blocks: Blocks
     index: IntArray
-    engine: Engine
+    engine: PassEngine
     tie: FloatArray | None = None
 
     def own(self, theta: FloatArray) -> FloatArray:
@@ -99,7 +99,7 @@ class Iterate(NamedTuple):
     factor: float
 
 
-class PartGradient(NamedTuple):
+class GroupGradient(NamedTuple):
     """What a part adds to the gradient of the Lagrangian, without the prior.
 
     Attributes
@@ -143,7 +143,7 @@ class Shooting:
 
     Attributes
     ----------
-    parts : tuple of Part
+    parts : tuple of RecordGroup
     links : (n_links, 2) integer array
         Windows, counted over all parts, of which the first must end where the second starts.
     criterion : {"trace", "det"}
@@ -159,7 +159,7 @@ class Shooting:
         than the stable predictor that the estimate is about.
     """
 
-    parts: tuple[Part, ...]
+    parts: tuple[RecordGroup, ...]
     links: IntArray
     criterion: Criterion
     output_weights: FloatArray
@@ -296,7 +296,7 @@ class Shooting:
         weighted = iterate.jacobian * lam_gaps[pattern.rows]
         return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))
 
-    def gradients_by_part(self, iterate: Iterate, lam_gaps: FloatArray) -> list[PartGradient]:
+    def gradients_by_part(self, iterate: Iterate, lam_gaps: FloatArray) -> list[GroupGradient]:
         """Gradient of ``cost + lam_gaps' gaps`` part by part at an evaluated point."""
         t, x, factor = self.theta_scale, self.state_scale, iterate.factor
         ends_in = np.zeros((self.n_windows, self.n_states))
@@ -307,7 +307,7 @@ class Shooting:
         ):
             theta = factor * s.gradient + np.einsum("wnp,wn->p", s.end_theta, ends_in[a:b])
             starts = factor * s.gradient_start + np.einsum("wnm,wn->wm", s.end_start, ends_in[a:b])
-            found.append(PartGradient(theta * t[part.index], starts * x))
+            found.append(GroupGradient(theta * t[part.index], starts * x))
         return found
 
     def at_edge(self, theta: FloatArray) -> bool:
@@ -400,7 +400,7 @@ class Shooting:
         return self.n_samples * (n_y if self.criterion == "trace" else 1)
 
     @cached_property
-    def _links_by_part(self) -> list[tuple[IntArray, IntArray, Part]]:
+    def _links_by_part(self) -> list[tuple[IntArray, IntArray, RecordGroup]]:
         """Links that start in each part: their rows, their first windows, the part."""
         result = []
         for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):

@@ -75,7 +75,7 @@ def solve(
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
-    Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each piece
+    Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each segment
     becomes one window, and what Gauss-Newton leaves out of the Hessian is learned on the way (`StructuredSecant`).
 
     Parameters

@@ -23,7 +23,7 @@ _ROUNDING = 1e-12  # of the largest curvature: for unknowns that the data do not
 _AT_BOUND = 1e-4  # scaled
 _NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
 _NEAR_GAP = 0.1
-_AHEAD = 7  # iterations that are worth a change of method
+_AHEAD = 7  # iterations that justify a change of method
 _STEP_BEFORE = 1e-2
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 

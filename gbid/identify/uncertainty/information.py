@@ -38,7 +38,7 @@ def record_information(
     Parameters
     ----------
     problem : Shooting
-        Each record in one piece.
+        Each record in one segment.
     theta : (n_p,) array
     starts : (n_windows, n) array
     record_window : (n_records,) integer array
@@ -52,9 +52,9 @@ def record_information(
     """
     found = {}
     for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
-        for piece, window in zip(part.blocks.pieces, part.blocks.piece_first, strict=True):
-            length = min(max(len(piece.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
-            blocks = cut([piece], part.predictor, None, longest_block=length)
+        for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
+            length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
+            blocks = cut([segment], part.predictor, None, longest_block=length)
             powers = powers_of(v.F, blocks.length)
             start = starts[first + window][None]
             sums, free = block_sums(v, blocks, start, weight, powers, part.engine)

@@ -14,16 +14,16 @@ from gbid.identify.kernel.sweep import block_sums, joined, link, powers_of, star
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.one_window import in_one_window
-from gbid.identify.nlp.shooting import Part, Shooting
+from gbid.identify.nlp.shooting import RecordGroup, Shooting
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
 
 
 class Fine(NamedTuple):
-    """A part cut anew, each piece as one window of short blocks, and the windows these pieces start with."""
+    """A part cut anew, each segment as one window of short blocks, and the windows these segments start with."""
 
-    part: Part
+    part: RecordGroup
     windows: IntArray
 
 
@@ -46,11 +46,11 @@ class Information(NamedTuple):
 
 
 def by_piece(problem: Shooting, block: int) -> list[Fine]:
-    """Cut each piece into blocks of at most `block` samples."""
+    """Cut each segment into blocks of at most `block` samples."""
     fine = []
     for part, first in zip(problem.parts, problem.first_window[:-1], strict=True):
-        blocks = cut(part.blocks.pieces, part.predictor, None, longest_block=block)
-        fine.append(Fine(replace(part, blocks=blocks), first + part.blocks.piece_first))
+        blocks = cut(part.blocks.segments, part.predictor, None, longest_block=block)
+        fine.append(Fine(replace(part, blocks=blocks), first + part.blocks.segment_first))
     return fine
 
 
@@ -65,14 +65,14 @@ def information_over_records(
     scores: bool = False,
     observed: bool = False,
 ) -> Information:
-    """Run a pass over whole pieces and refer everything to parameters and the records' initial states.
+    """Run a pass over whole segments and refer everything to parameters and the records' initial states.
 
     Parameters
     ----------
     problem : Shooting
         Parameters not tied.
     fine : list of Fine
-        Its parts by pieces.
+        Its parts by segments.
     theta : (n_p,) array
     starts : (n_windows, n) array
     record_window : (n_records,) integer array
@@ -86,7 +86,7 @@ def information_over_records(
     n, n_p = problem.n_states, problem.n_theta
     n_all = n_p + len(record_window) * n
     record_of = {int(window): i for i, window in enumerate(record_window)}
-    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the piece at a window: sensitivity, record
+    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the segment at a window: sensitivity, record
     for window, record in record_of.items():
         T = np.zeros((n, n_all))
         T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
@@ -135,12 +135,12 @@ def _add(
 
 
 def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[FloatArray, int]]) -> None:  # type: ignore[type-arg]
-    """Carry sensitivities from piece to piece of a record, over the stretches that are left out."""
+    """Carry sensitivities from segment to segment of a record, over the stretches that are left out."""
     piece_of = {}
     last_window = {}
     for k, (_, windows, *_) in enumerate(passes):
         original = problem.parts[k].blocks
-        ends = np.append(original.piece_first[1:], original.n_windows) - 1 + problem.first_window[k]
+        ends = np.append(original.segment_first[1:], original.n_windows) - 1 + problem.first_window[k]
         for i, window in enumerate(windows):
             piece_of[int(window)] = (k, i)
             last_window[int(ends[i])] = int(window)
@@ -157,11 +157,11 @@ def _follow_pieces(problem: Shooting, passes: list, chains: dict[int, tuple[Floa
 def _all_columns(
     problem: Shooting, theta: FloatArray, starts: FloatArray, curvatures: list[FloatArray], weight: FloatArray
 ) -> list[PartHessian]:
-    """Exact columns of all parameters, with each piece as one window."""
+    """Exact columns of all parameters, with each segment as one window."""
     joined, kept = in_one_window(problem)
     _, starts = joined.unpack(problem.pack(theta, starts)[kept])
     ends, values = np.zeros_like(starts), problem.values(theta)
-    for _ in joined.links:  # from the last pieces of the records to the first: how the cost depends on where they end
+    for _ in joined.links:  # from the last segments of the records to the first: how the cost depends on where they end
         made = own_gradients(joined, values, starts, ends, weight)
         if made is None:
             break

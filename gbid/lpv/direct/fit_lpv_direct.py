@@ -23,8 +23,8 @@ from gbid.identify.nlp.watch import Progress
 from gbid.identify.predictor import Focus
 from gbid.lpv.direct.gains import own_gains
 from gbid.lpv.direct.setting import Setting, set_up
-from gbid.lpv.direct.solve import How, Solved, solve_for
-from gbid.lpv.direct.uncertainty import Uncertainty, uncertainty
+from gbid.lpv.direct.solve import DirectSolution, How, solve_for
+from gbid.lpv.direct.uncertainty import CoefficientUncertainty, uncertainty
 from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.fit_lpv import in_own_units, rectangle
@@ -128,7 +128,7 @@ def fit_lpv_direct(
             if round_ > 1 and moved.max() < _SETTLED:
                 break
     options = {
-        "method": "one-shot",
+        "method": "direct",
         "structure": structure.name,
         "focus": focus,
         "intersample": hold if isinstance(hold, str) else " ".join(hold),
@@ -167,8 +167,8 @@ def _result(
     start: LPVFit | LPVModel,
     setting: Setting,
     names: tuple[str, ...],
-    solved: Solved,
-    found: Uncertainty,
+    solved: DirectSolution,
+    found: CoefficientUncertainty,
     *,
     scatter: bool,
 ) -> LPVFit:

@@ -1,4 +1,4 @@
-"""Disturbance gains to start the one-shot fit from: a small fit for each recording with the surfaces held."""
+"""Disturbance gains to start the direct LPV fit from: a small fit for each recording with the surfaces held."""
 
 from __future__ import annotations
 

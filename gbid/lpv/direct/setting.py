@@ -1,4 +1,4 @@
-"""What the one-shot fit of surfaces shares between recordings, and what each has for itself."""
+"""What the direct LPV fit of surfaces shares between recordings, and what each has for itself."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A one-shot fit, set up.
+    """A direct LPV fit, set up.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Setting:
 def set_up(
     recordings: Sequence[Recording], model: LPVModel, structure: Structure, fixed: Mapping[str, float]
 ) -> Setting:
-    """Set a one-shot fit up; parameters, errors and what is returned are told at `gbid.fit_lpv_direct`."""
+    """Set a direct LPV fit up; parameters, errors and what is returned are told at `gbid.fit_lpv_direct`."""
     names = [q.name for q in structure.parameters]
     missing = [key for key in KEY_PARAMETERS if key not in names]
     if missing:

@@ -1,4 +1,4 @@
-"""The one-shot fit's nonlinear programme, for a given scatter between recordings."""
+"""The direct LPV fit's nonlinear programme, for a given scatter between recordings."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class How:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class DirectSolution:
     """Where the programme ended.
 
     Attributes
@@ -62,7 +62,7 @@ class Solved:
 
 def solve_for(
     setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains, how: How
-) -> Solved:
+) -> DirectSolution:
     """Minimise the prediction errors of all recordings over what they share and what each has for itself.
 
     Where gains that are free lead to the edge of an unstable predictor, it is solved again with all of them held
@@ -114,7 +114,7 @@ def solve_for(
         for own_places, values in zip(places, gains.values, strict=True)
     ]
     off = np.array([[theta[position[names[q.name]]] for q in ties.own] for names in assembly.record_names])
-    return Solved(
+    return DirectSolution(
         theta[: len(ties.shared)],
         setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
         [profiled(each, kept) for each in whole],

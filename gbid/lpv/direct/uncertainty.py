@@ -27,7 +27,7 @@ FloatArray = npt.NDArray[np.float64]
 _WEAK = 1e-9  # scaled eigenvalue of a record's information below which it says nothing in that direction
 
 
-class Uncertainty(NamedTuple):
+class CoefficientUncertainty(NamedTuple):
     """Of directly estimated coefficients, in the units of the parameters.
 
     Attributes
@@ -55,7 +55,7 @@ class Uncertainty(NamedTuple):
     settled: bool
 
 
-def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInformation]) -> Uncertainty:
+def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInformation]) -> CoefficientUncertainty:
     """Find the scatter and the covariance of the coefficients.
 
     Parameters
@@ -82,7 +82,7 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
     middle = np.einsum("ikm,ikl,iln->mn", scaled, J + H @ mixed.scatter @ H, scaled, optimize=True)
     onto = _inverse(A)
     outer = np.outer(scale, scale)
-    return Uncertainty(
+    return CoefficientUncertainty(
         onto @ middle @ onto,
         mixed.scatter * outer,
         y * scale,

@@ -23,7 +23,7 @@ from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import best_order, compare_orders, lack_of_fit
-from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, held_down, outliers, standardised
+from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, huber_estimate, outliers, standardised
 from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, chosen_exponents, distinct_points, orthonormal, term_name
 from gbid.structure import KEY_PARAMETERS
 from gbid.threads import one_blas_thread
@@ -65,7 +65,7 @@ def fit_lpv(
         Order of the polynomials; the best by cross-validation over operating points; or terms out of
         `gbid.lpv.TERMS`.
     robust : bool
-        Whether estimates far off a surface are held down (Huber's weights).
+        Whether estimates far off a surface are weighed down (Huber) (Huber's weights).
     actuators : dict of str to float, optional
         Actuator parameters that the model is to hold.
     pade_order : int
@@ -129,7 +129,7 @@ def fit_lpv(
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
+class _SurfaceEstimate:
     """Surfaces in orthogonal terms."""
 
     coefficients: FloatArray  # (14, n_terms)
@@ -140,7 +140,7 @@ class _Solved:
     notes: tuple[str, ...]
 
 
-def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> _Solved:
+def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> _SurfaceEstimate:
     """Fit all parameters, scaled to the order of one."""
     n, k = estimates.values.shape
     scale = np.sqrt(np.mean(estimates.values**2, axis=0))
@@ -155,7 +155,7 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
         own = C if weighting == "scatter" else None
         if weighting == "fits":
             raise UsageError("robust = True needs weighting = 'scatter' or 'ordinary'")
-        found = held_down(y, X, own)
+        found = huber_estimate(y, X, own)
         coefficients, S, clipped, cost = found.coefficients, found.scatter, found.clipped, found.cost
         V = V if own is None else C + S
     elif weighting == "scatter":
@@ -170,7 +170,7 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
         covariance = sandwich(clipped, X, V, coefficients) / (CLIPPING_SLOPE**2 if robust else 1.0)
     residuals = y - X @ coefficients
     wide = np.repeat(scale, design.columns.shape[1])
-    return _Solved(
+    return _SurfaceEstimate(
         coefficients.reshape(k, -1) * scale[:, None],
         covariance * np.outer(wide, wide),
         S * np.outer(scale, scale),

@@ -1,4 +1,4 @@
-"""Fits that lie off the surfaces: named by a robust rule, and held down where that is asked for."""
+"""Fits that lie off the surfaces: named by a robust rule, and weighed down (Huber) where that is asked for."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def outliers(recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray) 
     return tuple(sorted(found, key=lambda o: -abs(o.standardised)))
 
 
-class HeldDown(NamedTuple):
+class HuberEstimate(NamedTuple):
     """Huber's estimate.
 
     Attributes
@@ -93,7 +93,7 @@ class HeldDown(NamedTuple):
     cost: float
 
 
-def held_down(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HeldDown:
+def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberEstimate:
     """Huber's estimate by modified residuals: what lies beyond 1.345 standard deviations counts as that far.
 
     Parameters
@@ -121,4 +121,4 @@ def held_down(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HeldDown:
         coefficients = fit.coefficients
         if moved.max() < _SETTLED:
             break
-    return HeldDown(coefficients, S, clipped, _VARIANCE / CLIPPING_SLOPE**2)
+    return HuberEstimate(coefficients, S, clipped, _VARIANCE / CLIPPING_SLOPE**2)

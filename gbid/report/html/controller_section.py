@@ -130,8 +130,8 @@ def _designs(
     designs = []
     for name, form, gains in wanted:
         try:
-            worth = assess(model, form, gains, points, name=name)  # type: ignore[arg-type]  # scheduled ones as well
-            designs.append(Design(name, form, gains, worth))
+            performance = assess(model, form, gains, points, name=name)  # type: ignore[arg-type]  # scheduled ones as well
+            designs.append(Design(name, form, gains, performance))
         except GbidError as error:
             faults.append(f"{name}: {error}")
     return designs, faults
@@ -139,11 +139,11 @@ def _designs(
 
 def _compared(designs: list[Design], points: tuple[tuple[float, float], ...]) -> list[Block]:
     compared = compare_designs([d.assessment for d in designs])
-    blow = designs[0].assessment.impact
+    impact = designs[0].assessment.impact
     caption = (
-        f"Designs at their worst over {len(points)} operating points; disc and stack under a half-sine blow of "
-        f"{blow.peak_n:g} N, {1e3 * blow.duration_s:g} ms; sampled at {1e3 * designs[0].assessment.sample_time:g} ms "
-        "with one sample for computation"
+        f"Designs at their worst over {len(points)} operating points; disc and stack under a half-sine of "
+        f"{impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms; "
+        f"sampled at {1e3 * designs[0].assessment.sample_time:g} ms with one sample for computation"
     )
     rows = [
         (heading.replace("um", "µm"), *(row[i + 1] for row in compared.rows))
@@ -200,10 +200,10 @@ def _pictured(pictures: Pictures, design: Design, model: LPVModel) -> list[Block
     alt = (
         f"Sensitivities of {title}: peak of S_o {worst.peak_output.value:.2f}, of K S_o {worst.peak_control.value:.2f}"
     )
-    blows = [_blow(pictures, design, plant, controller, place, axis) for axis in "xy"]
+    impacts = [_impact(pictures, design, plant, controller, place, axis) for axis in "xy"]
     return [
         Words(f"Pictures of {design.name}, {words}."),
-        Gallery([*shown, *blows]),
+        Gallery([*shown, *impacts]),
         Shown(pictures.picture(plot_magnitudes(curves), alt)),
         _by_point(design),
     ]
@@ -229,11 +229,11 @@ def _map(pictures: Pictures, design: Design, model: LPVModel) -> Picture:
     return pictures.picture(plot_damping_map(data), alt)
 
 
-def _blow(
+def _impact(
     pictures: Pictures, design: Design, plant: LinearModel, controller: LinearModel, place: str, axis: str
 ) -> Block:
-    blow = replace(design.assessment.impact, direction_deg={"x": 0.0, "y": 90.0}[axis])
-    opened, closed = (impact_response(plant, k, blow, duration_s=_SHOWN_S) for k in (None, controller))
+    impact = replace(design.assessment.impact, direction_deg={"x": 0.0, "y": 90.0}[axis])
+    opened, closed = (impact_response(plant, k, impact, duration_s=_SHOWN_S) for k in (None, controller))
     if not (len(opened.time_s) and len(closed.time_s)):
         return Words(f"No impact response along {axis} at {place}: the loop is not stable.", "bad")
     i = "xy".index(axis)
@@ -242,10 +242,10 @@ def _blow(
         {"open loop": opened.p[:, i], f"{design.name}": closed.p[:, i]},
         {"force": opened.force_n},
         axis,
-        f"{place}, blow along {axis}",
+        f"{place}, impact along {axis}",
     )
     alt = (
-        f"Disc position {axis} after a blow of {blow.peak_n:g} N along {axis} at {place}: open loop up to "
+        f"Disc position {axis} after an impact of {impact.peak_n:g} N along {axis} at {place}: open loop up to "
         f"{1e6 * opened.peak_p_m:.1f} µm, closed loop up to {1e6 * closed.peak_p_m:.1f} µm"
     )
     return Shown(pictures.picture(plot_impact(data), alt))

@@ -30,13 +30,13 @@ def explorer_model(model: LPVModel) -> dict[str, Any]:
         coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]),
         frequency [Hz] (first and last), peak_sensitivity.
     """
-    blow = HalfSine()
+    impact = HalfSine()
     return {
         "name": model.name,
         "coefficients": {key: list(values) for key, values in model.coefficients.items()},
         "actuators": dict(model.actuators),
         "pade_order": model.pade_order,
-        "impact": {"peak": blow.peak_n, "duration": blow.duration_s, "mass": blow.mass_kg},
+        "impact": {"peak": impact.peak_n, "duration": impact.duration_s, "mass": impact.mass_kg},
         "frequency": list(FREQUENCY_RANGE),
         "peak_sensitivity": PEAK_SENSITIVITY,
     }

@@ -30,8 +30,7 @@ from gbid.experiment.stages.pairing import validate_pair
 from gbid.experiment.stages.prefiltering import FOLDER as PREFILTERED
 from gbid.experiment.stages.surfaces import read_surfaces
 from gbid.experiment.structures import make_structure, rig_model, true_model, true_values
-from gbid.identify import FitResult, TableEntry
-from gbid.identify.table import tabulate
+from gbid.identify import FitResult, TableEntry, tabulate
 from gbid.lpv import LPVFit, LPVModel
 from gbid.prefilter.store import read_report
 from gbid.recording import Recording, find_problems, load_recording

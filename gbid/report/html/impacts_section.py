@@ -1,4 +1,4 @@
-"""Section on the impacts: what the blows of a hammer say of the modes, beside the model and the paper."""
+"""Section on the impacts: what the impacts of a hammer say of the modes, beside the model and the paper."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
-from gbid.report.impact_tables import BLOWS, impact_document
+from gbid.report.impact_tables import IMPACT_FIGURES, impact_document
 
 TITLE = "Impacts"
 _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
@@ -31,16 +31,16 @@ def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
     published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
     modes: list[list[str]] = []
     responses: list[list[str]] = []
-    blows: list[list[str]] = []
+    impacts: list[list[str]] = []
     for name, study in studies.items():
         document = impact_document(name, study, gathered.experiment.results, published)
         where = f"{at_point(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
         paper = document["published"].get("measured")
         modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
         for row in document["responses"]:
-            blows.append([row["recording"], where, *(_figure(row, *figure) for figure in BLOWS)])
+            impacts.append([row["recording"], where, *(_figure(row, *figure) for figure in IMPACT_FIGURES)])
             scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
-            responses.append([row["recording"], where, str(row["blows"]), scale, f"{row['fit_along [%]']:.1f}"])
+            responses.append([row["recording"], where, str(row["impacts"]), scale, f"{row['fit_along [%]']:.1f}"])
         blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
         if not document["success"]:
             tone = "" if study.ringdown.aperiodic else "bad"
@@ -49,23 +49,21 @@ def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
         heads = [
             f"{word} {what}{unit}"
             for what, unit, _ in _QUANTITIES
-            for word in ("expected", "as it runs", "from blows", "paper's")
+            for word in ("expected", "as it runs", "from impacts", "paper's")
         ]
-        caption = "Modes expected from the model, expected of the sampled loop, and obtained from the blows"
+        caption = "Modes expected from the model, expected of the sampled loop, and obtained from the impacts"
         blocks.insert(0, Table(caption, ("where", *heads), modes))
     if responses:
-        columns = ("recording", "where", "blows", "force scale [1/kg]", "fit along the blow [%]")
+        columns = ("recording", "where", "impacts", "force scale [1/kg]", "fit along the impact [%]")
         blocks.append(Table("Measured against simulated responses", columns, responses, left=("where",)))
         columns = ("recording", "where", "disc up to [µm]", "over after [ms]", "piezo up to [µm]")
-        caption = (
-            "After a blow: mean over the blows ± standard deviation, simulated in brackets; over: 95 % of the energy"
-        )
-        blocks.append(Table(caption, columns, blows, left=("where",)))
+        caption = "After an impact: mean ± standard deviation, simulated in brackets; over: 95 % of the energy"
+        blocks.append(Table(caption, columns, impacts, left=("where",)))
     return Section("impacts", TITLE, [*_pictured(pictures, studies, section.controller), *blocks])
 
 
 def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller: str) -> list[Block]:
-    """Draw the responses of all loops to the same blow, operating point by operating point."""
+    """Draw the responses of all loops to the same impact, operating point by operating point."""
     points: dict[str, dict[str, ImpactStudy]] = {}
     for study in studies.values():
         closed = "published gains" if controller == "paper" else "closed loop"
@@ -75,8 +73,8 @@ def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller
     blocks: list[Block] = []
     for where, loops in points.items():
         alt = (
-            f"Disc on the rig at {where} after the same blow along x and along y: {', '.join(loops)}; lines are "
-            "means over the blows, bands a standard deviation"
+            f"Disc on the rig at {where} after the same impact along x and along y: {', '.join(loops)}; lines are "
+            "means over the impacts, bands a standard deviation"
         )
         try:
             blocks.append(Shown(pictures.picture(plot_impact_loops(impact_loops_data(loops)), alt)))

@@ -85,7 +85,7 @@ def _of_design(design: Design) -> list[Link]:
         )
     if any(q.exceeds_travel for q in design.assessment.points):
         found.append(
-            Link(f"controller {design.name}: the reference blow asks for more travel than a stack has", "#controller")
+            Link(f"controller {design.name}: the reference impact asks for more travel than a stack has", "#controller")
         )
     return found
 

@@ -21,8 +21,7 @@ from gbid.experiment.stages.impacting import study_tasks
 from gbid.experiment.stages.recordings import load_made
 from gbid.experiment.stages.surfaces import read_surfaces
 from gbid.experiment.structures import rig_model
-from gbid.identify import TableEntry
-from gbid.identify.table import tabulate
+from gbid.identify import TableEntry, tabulate
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.tables import ProportionalDesign
 from gbid.recording import Recording

@@ -14,7 +14,7 @@ from gbid.control.impact.impact_store import response_rows
 from gbid.errors import DataError
 from gbid.lpv import TERMS
 from gbid.report.canvas import at_point
-from gbid.report.designs import design_rows, design_worths
+from gbid.report.designs import design_performances, design_rows
 from gbid.report.numbers import engineering
 from gbid.report.paper.results import Results
 from gbid.structure import KEY_PARAMETERS
@@ -116,14 +116,14 @@ def coefficient_table(results: Results) -> PaperTable:
 
 def designs_table(results: Results) -> PaperTable:
     """Put the tuned designs beside the published one, each at its worst operating point."""
-    worths = design_worths(results.designs)
-    title = f"Designs at the worst of {len(worths[0].points)} operating points"
-    rows: list[tuple[Cell, ...]] = [(row[0], *map(float, row[1:])) for row in design_rows(worths)]
-    return PaperTable(title, ("figure", *(worth.name for worth in worths)), tuple(rows))
+    performances = design_performances(results.designs)
+    title = f"Designs at the worst of {len(performances[0].points)} operating points"
+    rows: list[tuple[Cell, ...]] = [(row[0], *map(float, row[1:])) for row in design_rows(performances)]
+    return PaperTable(title, ("figure", *(performance.name for performance in performances)), tuple(rows))
 
 
-def blows_table(results: Results) -> PaperTable:
-    """Give what the same blow does in each loop, measured and simulated."""
+def impacts_table(results: Results) -> PaperTable:
+    """Give what the same impact does in each loop, measured and simulated."""
     shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
     heads = [f"{what}{word} [{unit}]" for what, unit, *_ in shown for word in ("", " std", " simulated")]
     rows: list[tuple[Cell, ...]] = []
@@ -137,7 +137,7 @@ def blows_table(results: Results) -> PaperTable:
                     for suffix in ("", "_std", "_simulated")
                 )
                 rows.append((where, label, row["axis"], *numbers))
-    title = "The same blow in each loop on the rig: disc up to, over after (95 % of the energy), piezo up to"
+    title = "The same impact in each loop on the rig: disc up to, over after (95 % of the energy), piezo up to"
     return PaperTable(title, ("where", "loop", "axis", *heads), tuple(rows))
 
 
@@ -149,7 +149,7 @@ def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
     rows: list[tuple[Cell, ...]] = [
         ("expected from model", *(loops[loop].expected[i][j] for i, loop in columns)),
         ("expected as it runs, sampled", *(loops[loop].expected_running[i][j] for i, loop in columns)),
-        ("obtained from the blows", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
+        ("obtained from the impacts", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
         ("standard deviation", *(_std(loops[loop].ringdown, i, j) for i, loop in columns)),
     ]
     modes = [m for m in results.machine.reference_modes if (m.pressure_bar, m.speed_rpm) == place]
@@ -184,6 +184,6 @@ TABLES: dict[str, Callable[[Results], PaperTable]] = {
     "tableA5_piezo_controllers": controller_table,
     "tableB6_coefficients": coefficient_table,
     "designs": designs_table,
-    "designs_impacts": blows_table,
+    "designs_impacts": impacts_table,
 }
 """Tables by name. Each raises `DataError` when its results are not there."""

@@ -13,7 +13,7 @@ from gbid.rig.machine.effects import need_finite
 
 @dataclass(frozen=True)
 class Impact:
-    """One blow: a half sine of force on the rotor, without delay.
+    """One impact: a half sine of force on the rotor, without delay.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class Impact:
         ----------
         axis : {"x", "y"}
         time, peak, duration : float
-            Start [s], largest force [N] and length [s] of the blow.
+            Start [s], largest force [N] and length [s] of the impact.
 
         Raises
         ------

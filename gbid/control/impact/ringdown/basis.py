@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
-from gbid.control.impact.measured import Blow, Pulse, pulse_forcing
+from gbid.control.impact.measured import MeasuredImpact, Pulse, pulse_forcing
 from gbid.discretise import propagate
 from gbid.errors import DataError
 from gbid.prefilter.shaft import shaft_motion
@@ -77,11 +77,11 @@ class RingData:
     position : (n_samples, 2) array
         As measured; zero where not used.
     used : (n_samples,) bool array
-        Samples that are fitted: all but those under a blow.
+        Samples that are fitted: all but those under an impact.
     pulses : tuple of Pulse
-        Forces of the blows.
+        Forces of the impacts.
     segments : tuple of (start, stop)
-        Free responses after the blows.
+        Free responses after the impacts.
     quiet : (n_samples, n_quiet) array
         Orthonormal: offset and harmonics of the shaft angle on the samples used.
     """
@@ -95,28 +95,33 @@ class RingData:
 
 
 def ring_data(
-    recording: Recording, position: str, blows: Sequence[Blow], pulses: tuple[Pulse, ...], harmonics: int, skip: int
+    recording: Recording,
+    position: str,
+    impacts: Sequence[MeasuredImpact],
+    pulses: tuple[Pulse, ...],
+    harmonics: int,
+    skip: int,
 ) -> RingData:
-    """Cut a recording into free responses; the samples under a blow and `skip` more are left out.
+    """Cut a recording into free responses; the samples under an impact and `skip` more are left out.
 
     Raises
     ------
     DataError
-        When the position has not two channels, or too little is left after a blow.
+        When the position has not two channels, or too little is left after an impact.
     """
     p = recording.signal(position)
     if p.shape[1] != 2:
         raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; a ring-down needs two")
     used = np.ones(len(p), dtype=bool)
     segments = []
-    ends = [*(blow.start + 1 for blow in blows[1:]), len(p)]
-    for blow, end in zip(blows, ends, strict=True):
-        first = blow.stop + skip
-        used[blow.start + 1 : first] = False
+    ends = [*(impact.start + 1 for impact in impacts[1:]), len(p)]
+    for impact, end in zip(impacts, ends, strict=True):
+        first = impact.stop + skip
+        used[impact.start + 1 : first] = False
         if end - first < _SHORTEST:
             raise DataError(
-                f"recording {recording.name!r}: {max(end - first, 0)} samples after the blow at "
-                f"{blow.start * recording.sample_time:.4f} s; a ring-down needs {_SHORTEST}: leave that blow out"
+                f"recording {recording.name!r}: {max(end - first, 0)} samples after the impact at "
+                f"{impact.start * recording.sample_time:.4f} s; a ring-down needs {_SHORTEST}: leave that impact out"
             )
         segments.append((first, end))
     q, r = np.linalg.qr(quiet_basis(recording, harmonics) * used[:, None])

@@ -1,13 +1,13 @@
-r"""Modes of a rotor from how it rings down after blows: the rows "obtained experimentally" of Tables 3 and 4.
+r"""Modes of a rotor from how it rings down after impacts: the rows "obtained experimentally" of Tables 3 and 4.
 
-After a blow the disc moves by itself. Two degrees of freedom, and decays without oscillation beside them:
+After an impact the disc moves by itself. Two degrees of freedom, and decays without oscillation beside them:
 
 .. math::
 
     p(t) = q(t) + \sum_l R_l \int_{-\infty}^t \rho_l e^{-\rho_l (t - s)} f(s)\, ds
            + p_0 + \sum_n c_n \cos n\phi + s_n \sin n\phi, \quad \ddot q = K q + D \dot q
 
-All blows share K, D and the lags; each has a state of its own to start from, each recording an offset and, when the
+All impacts share K, D and the lags; each has a state of its own to start from, each recording an offset and, when the
 shaft turns, harmonics of the shaft angle: unbalance and run-out are estimated along, not filtered (Figs. 26, 27).
 """
 
@@ -19,12 +19,12 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.impact.measured import Blow, find_blows, force_of, pulses_of
+from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown.basis import RingData, Scale, harmonics_for, ring_data
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.control.impact.ringdown.lags import fit_lags
 from gbid.control.impact.ringdown.ringdown_result import NO_OSCILLATIONS, RingDown, two_modes
-from gbid.control.impact.ringdown.separable import RingProblem, Solved
+from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import start_candidates
 from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
@@ -43,12 +43,12 @@ def fit_ringdown(
     skip_s: float = 0.0,
     start: Sequence[tuple[float, float]] | None = None,
 ) -> RingDown:
-    """Fit two modes to the free responses after all blows in some recordings (paper, Sec. 5.1, Tables 3 and 4).
+    """Fit two modes to the free responses after all impacts in some recordings (paper, Sec. 5.1, Tables 3 and 4).
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        Of one machine at one operating point; blows along x and along y together tell the modes best.
+        Of one machine at one operating point; impacts along x and along y together tell the modes best.
     position, force : str
         Signals: disc position of two channels [m], force of the hammer [N].
     axis : {"x", "y"}, optional
@@ -60,7 +60,7 @@ def fit_ringdown(
     harmonics : int, optional
         Harmonics of the shaft angle `phi` estimated along; 10 when the shaft turns and nothing is given.
     skip_s : float
-        Time after the end of a blow that is left out [s].
+        Time after the end of an impact that is left out [s].
     start : sequence of (frequency_hz, damping), optional
         Two modes to start from, beside what is found in the data.
 
@@ -72,25 +72,25 @@ def fit_ringdown(
     Raises
     ------
     DataError
-        When a recording has no blow, too little after one, or a signal is missing.
+        When a recording has no impact, too little after one, or a signal is missing.
     UsageError
         For arguments out of range.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     _check_arguments(group, lags, harmonics, skip_s, start)
     h = group[0].sample_time
-    found = [find_blows(force_of(rec, force, axis), h, rec.name) for rec in group]
+    found = [find_impacts(force_of(rec, force, axis), h, rec.name) for rec in group]
     counts = [harmonics_for(rec, harmonics) for rec in group]
     data = tuple(
-        ring_data(rec, position, blows, pulses_of(force_of(rec, force, axis), blows), count, round(skip_s / h))
-        for rec, blows, count in zip(group, found, counts, strict=True)
+        ring_data(rec, position, impacts, pulses_of(force_of(rec, force, axis), impacts), count, round(skip_s / h))
+        for rec, impacts, count in zip(group, found, counts, strict=True)
     )
     unit = float(np.sqrt(np.mean([np.mean(_after(d) ** 2) for d in data])))
     if unit == 0:
-        raise DataError(f"recording {group[0].name!r}: {position!r} does not move after the blows; check the signal")
+        raise DataError(f"recording {group[0].name!r}: {position!r} does not move after the impacts; check the signal")
     data = tuple(replace(d, position=d.position / unit) for d in data)
 
-    directions = tuple(i for i, word in enumerate("xy") if any(b.axis == word for blows in found for b in blows))
+    directions = tuple(i for i, word in enumerate("xy") if any(b.axis == word for impacts in found for b in impacts))
 
     def problems(rate: float) -> RingProblem:
         return RingProblem(data, Scale(rate, h), directions)
@@ -112,7 +112,7 @@ def _check_arguments(
     start: Sequence[tuple[float, float]] | None,
 ) -> None:
     if not group:
-        raise UsageError("fit_ringdown: no recording given; give at least one with a blow")
+        raise UsageError("fit_ringdown: no recording given; give at least one with an impact")
     if lags != "auto" and not (isinstance(lags, int) and 0 <= lags <= 6):
         raise UsageError(f"fit_ringdown: lags = {lags!r}; give a number from 0 to 6, or 'auto'")
     if harmonics is not None and harmonics < 0:
@@ -130,7 +130,7 @@ def _check_arguments(
 
 
 def _after(data: RingData) -> FloatArray:
-    """Positions after the blows, less what offset and harmonics explain."""
+    """Positions after the impacts, less what offset and harmonics explain."""
     quiet = data.position - data.quiet @ (data.quiet.T @ data.position)
     return np.vstack([quiet[a:b] for a, b in data.segments])
 
@@ -147,13 +147,13 @@ def _guesses(
     return [(rate, own), *start_candidates(data, h, rate)]
 
 
-def _channel_rms(problem: RingProblem, solved: Solved) -> FloatArray:
+def _channel_rms(problem: RingProblem, solved: SeparableFit) -> FloatArray:
     """Residuals of x and y, over all samples used."""
     squares = sum((r**2).sum(axis=0) for r in solved.at.residuals)
     return np.asarray(np.sqrt(squares * 2 / problem.n_values) / problem.weights)
 
 
-def _covariance(problem: RingProblem, solved: Solved) -> FloatArray:
+def _covariance(problem: RingProblem, solved: SeparableFit) -> FloatArray:
     """Covariance of the parameters, for correlated residuals."""
     slopes, residuals = solved.at.slopes, solved.at.residuals
     stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in slopes])
@@ -164,10 +164,10 @@ def _covariance(problem: RingProblem, solved: Solved) -> FloatArray:
 
 def _result(
     problem: RingProblem,
-    solved: Solved,
+    solved: SeparableFit,
     group: list[Recording],
     rms: FloatArray,
-    found: Sequence[Sequence[Blow]],
+    found: Sequence[Sequence[MeasuredImpact]],
     harmonics: int,
 ) -> RingDown:
     theta, scale, covariance = solved.theta, problem.scale, _covariance(problem, solved)
@@ -183,7 +183,7 @@ def _result(
         spread = slope @ covariance @ slope.T
     std = np.sqrt(np.diag(spread))
     notes: tuple[str, ...] = ()
-    doubles = sum(blow.pulses > 1 for blows in found for blow in blows)
+    doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
     if doubles:
         notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")
     if success and std[0] + std[2] > modes[2] - modes[0]:
@@ -198,7 +198,7 @@ def _result(
         D,
         np.array(problem.rates),
         rms,
-        sum(len(blows) for blows in found),
+        sum(len(impacts) for impacts in found),
         tuple(rec.name for rec in group),
         harmonics,
         success,

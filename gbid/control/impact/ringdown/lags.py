@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.control.impact.ringdown.basis import N_MECHANICAL
-from gbid.control.impact.ringdown.separable import RingProblem, Solved
+from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import DataError
 
@@ -22,7 +22,7 @@ _GUESSES = 2  # start values that are followed
 
 def fit_lags(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]], lags: int | str
-) -> tuple[RingProblem, Solved]:
+) -> tuple[RingProblem, SeparableFit]:
     """Fit two modes, and lags if they are asked for or the data ask for them.
 
     The rates of the lags are fixed, spread around the frequency of the modes. Sums of such decays come close to any
@@ -61,7 +61,7 @@ def fit_lags(
     return larger, more
 
 
-def lag_rates(problem: RingProblem, solved: Solved, count: int) -> FloatArray:
+def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatArray:
     """Rates of so many lags, in geometric steps about the modes [1/s]."""
     K, D = solved.theta[:4].reshape(2, 2), solved.theta[4:N_MECHANICAL].reshape(2, 2)
     middle = problem.scale.rate * float(np.abs(eigenvalues_of(-np.hstack([K, D]))).mean())
@@ -71,7 +71,7 @@ def lag_rates(problem: RingProblem, solved: Solved, count: int) -> FloatArray:
 
 def _fit_modes(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]]
-) -> tuple[RingProblem, Solved]:
+) -> tuple[RingProblem, SeparableFit]:
     """Fit two modes without lags, from the best of the guesses."""
     tries = []
     for rate, theta in guesses:
@@ -90,7 +90,7 @@ def _fit_modes(
     return min(found, key=lambda t: t[1].at.squares)
 
 
-def _schwarz(problem: RingProblem, solved: Solved) -> float:
+def _schwarz(problem: RingProblem, solved: SeparableFit) -> float:
     """Schwarz's criterion (BIC), up to a constant; residuals of a millionth of the signal are rounding, not noise."""
     n = problem.n_values
     return float(n * np.log(max(solved.at.squares / n, 1e-12)) + np.log(n) * (len(solved.theta) + problem.n_linear))

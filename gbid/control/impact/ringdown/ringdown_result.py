@@ -35,7 +35,7 @@ class RingDown:
         Rates of the decays that were fitted beside the modes [1/s].
     residual_rms : (2,) array
         What is left of x and y [m].
-    n_blows : int
+    n_impacts : int
     recordings : tuple of str
     harmonics : int
         Harmonics of the shaft angle that were estimated along.
@@ -54,7 +54,7 @@ class RingDown:
     damping_matrix: FloatArray
     lag_rates: FloatArray
     residual_rms: FloatArray
-    n_blows: int
+    n_impacts: int
     recordings: tuple[str, ...]
     harmonics: int
     success: bool

@@ -43,7 +43,7 @@ class Projected:
 
 
 @dataclass(frozen=True, eq=False)
-class Solved:
+class SeparableFit:
     """A fit of the parameters.
 
     Attributes
@@ -62,7 +62,7 @@ class Solved:
 
 @dataclass(frozen=True, eq=False)
 class RingProblem:
-    """Free responses of several recordings that share K, D and lags; each blow has an initial state of its own.
+    """Free responses of several recordings that share K, D and lags; each impact has an initial state of its own.
 
     Parameters are K and D by rows, negated and scaled, then for each lag and each direction that is hit the gains to x
     and to y.
@@ -139,7 +139,7 @@ class RingProblem:
             found.slopes.append(-projector.apply(moved)[0])
         return found
 
-    def solve(self, theta: FloatArray, max_evaluations: int = 100) -> Solved:
+    def solve(self, theta: FloatArray, max_evaluations: int = 100) -> SeparableFit:
         """Minimise the squares from given parameters by Levenberg-Marquardt."""
         last: dict[bytes, Projected] = {}
 
@@ -158,7 +158,7 @@ class RingProblem:
 
         settings: dict[str, Any] = {"method": "lm", "x_scale": "jac", "max_nfev": max_evaluations}
         done: Any = least_squares(residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings)
-        return Solved(done.x, evaluated(done.x), done.status > 0, str(done.message))
+        return SeparableFit(done.x, evaluated(done.x), done.status > 0, str(done.message))
 
     def _alive(self, theta: FloatArray) -> int:
         """Count samples until the slowest free response is below 1e-6 of its start; the rest of a record is quiet."""

@@ -10,16 +10,16 @@ from scipy.stats import qmc
 
 from gbid.control.tune.gain_result import SearchStep
 from gbid.control.tune.search.loop_family import FloatArray
-from gbid.control.tune.search.problem import Problem, Score
-from gbid.control.tune.search.sqp import Polished, merit, polish
+from gbid.control.tune.search.problem import GainProblem, Score
+from gbid.control.tune.search.sqp import LocalOptimum, merit, optimise_locally
 
 Progress = Callable[[SearchStep], None]
 PENALTY = 10.0
 _GRID = {1: 61, 2: 25, 3: 9}
 """Points per gain of the grid for up to three gains."""
-_SHAKES = (0.0015, 0.005, 0.015, 0.05)
-_SHAKEN = 3
-"""How many designs that lie apart are shaken: the best after the first climb need not stay the best."""
+_HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
+_HOPPED = 3
+"""How many designs that lie apart are hopped: the best after the first climb need not stay the best."""
 FEASIBLE = 1e-6
 """A limit exceeded by less, relative, is kept."""
 
@@ -36,7 +36,7 @@ class Effort:
         Of the random starts.
     finalists : int
         How many of the best are optimised to the end.
-    shakes : int
+    hops : int
         How often, at most, each of the best is moved at random and optimised again, with more than three gains: valleys
         between eigenvalues that meet are narrow, and a climb may end on their side. It ends when several in a row
         were in vain.
@@ -45,29 +45,29 @@ class Effort:
     starts: int | None = None
     seed: int = 0
     finalists: int = 5
-    shakes: int = 48
+    hops: int = 48
 
 
 @dataclass(frozen=True)
-class Found:
+class SearchOutcome:
     """Best design of a search."""
 
-    best: Polished
+    best: LocalOptimum
     history: tuple[SearchStep, ...]
 
 
 def search(
-    problem: Problem,
+    problem: GainProblem,
     neutral: FloatArray,
     effort: Effort,
     first: Iterable[FloatArray] = (),
     progress: Progress | None = None,
-) -> Found:
+) -> SearchOutcome:
     """Search the whole box.
 
     Parameters
     ----------
-    problem : Problem
+    problem : GainProblem
     neutral : (d,) array
         Gains near which the loops are likely to be stable: random starts are drawn towards it until they are.
     effort : Effort
@@ -77,7 +77,7 @@ def search(
 
     Returns
     -------
-    Found
+    SearchOutcome
 
     Notes
     -----
@@ -99,59 +99,59 @@ def search(
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
     if d in _GRID and effort.starts is None:
         candidates = given + _basins(problem, _GRID[d], 2 * effort.finalists)
-        rough = [polish(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in candidates]
+        rough = [optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in candidates]
         note("global", _best(rough).score)
     else:
         draws = _draws(problem, neutral, effort)
         rough = []
         for start in (*given, *draws):
-            rough.append(polish(problem, start, max_iterations=40, curvature=d <= 3, tolerance=1e-5))
+            rough.append(optimise_locally(problem, start, max_iterations=40, curvature=d <= 3, tolerance=1e-5))
             note("global", _best(rough).score)
     rough.sort(key=lambda found: merit(found.score, PENALTY), reverse=True)
-    finals: list[Polished] = []
+    finals: list[LocalOptimum] = []
     for start in rough[: effort.finalists]:
         if any(np.allclose(start.x, other.x, rtol=0, atol=1e-6) for other in finals):
             continue
-        finals.append(polish(problem, start.x, max_iterations=300))
-        note("polish", _best(finals).score)
+        finals.append(optimise_locally(problem, start.x, max_iterations=300))
+        note("local", _best(finals).score)
     best = _best(finals)
-    if d not in _GRID and effort.shakes:
+    if d not in _GRID and effort.hops:
         rng = np.random.default_rng(effort.seed)
-        shaken = []
-        for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_SHAKEN]:
-            shaken.append(_shake(problem, start, rng, effort.shakes, len(_SHAKES), note))
-        best = _shake(problem, _best(shaken), rng, effort.shakes, 2 * len(_SHAKES), note)
+        hopped = []
+        for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]:
+            hopped.append(_hop_basins(problem, start, rng, effort.hops, len(_HOP_SIZES), note))
+        best = _hop_basins(problem, _best(hopped), rng, effort.hops, 2 * len(_HOP_SIZES), note)
     if not best.converged:
-        best = polish(problem, best.x, max_iterations=600, radius=0.005)
-        note("polish", best.score)
-    return Found(best, tuple(history))
+        best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
+        note("local", best.score)
+    return SearchOutcome(best, tuple(history))
 
 
-def _shake(
-    problem: Problem,
-    best: Polished,
+def _hop_basins(
+    problem: GainProblem,
+    best: LocalOptimum,
     rng: np.random.Generator,
     most: int,
     in_vain: int,
     note: Callable[[str, Score], None],
-) -> Polished:
+) -> LocalOptimum:
     """Move a design at random and climb again, until it was in vain a number of times in a row."""
     vain = 0
     for i in range(most):
         if vain == in_vain:
             break
-        size = _SHAKES[i % len(_SHAKES)]
+        size = _HOP_SIZES[i % len(_HOP_SIZES)]
         moved = best.x + size * rng.standard_normal(len(best.x)) * (problem.upper - problem.lower)
-        again = polish(problem, moved, max_iterations=120, radius=0.02)
+        again = optimise_locally(problem, moved, max_iterations=120, radius=0.02)
         vain = 0 if better(again.score, best.score) else vain + 1
         best = best if vain else again
-        note("shake", best.score)
+        note("basin hopping", best.score)
     return best
 
 
-def _apart(found: list[Polished], distance: FloatArray) -> list[Polished]:
+def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum]:
     """Designs that differ by more than a distance in some gain, best first."""
-    chosen: list[Polished] = []
+    chosen: list[LocalOptimum] = []
     for one in sorted(found, key=lambda design: merit(design.score, PENALTY), reverse=True):
         if all((np.abs(one.x - other.x) > distance).any() for other in chosen):
             chosen.append(one)
@@ -166,14 +166,14 @@ def better(one: Score, other: Score) -> bool:
     return one.value > other.value if kept[0] else one.violation < other.violation
 
 
-def _best(found: list[Polished]) -> Polished:
+def _best(found: list[LocalOptimum]) -> LocalOptimum:
     best = found[0]
     for one in found[1:]:
         best = one if better(one.score, best.score) else best
     return best
 
 
-def _basins(problem: Problem, n: int, most: int) -> list[FloatArray]:
+def _basins(problem: GainProblem, n: int, most: int) -> list[FloatArray]:
     """Best points of a grid that are no neighbours, best first.
 
     They are more than the local maxima of the grid: along a limit it cuts through ridges and hides optima.
@@ -201,7 +201,7 @@ def _basins(problem: Problem, n: int, most: int) -> list[FloatArray]:
     return chosen
 
 
-def _draws(problem: Problem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
+def _draws(problem: GainProblem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
     """Random starts, each moved towards the neutral gains until its loops are stable."""
     d = len(neutral)
     n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)

@@ -1,4 +1,4 @@
-"""The smooth pieces of a design problem: each eigenvalue's damping, each peak, and their derivatives.
+"""The smooth functions of a design problem: each eigenvalue's damping, each peak, and their derivatives.
 
 The aim is the smallest of many functions of the gains and every limit the largest of many; each of them is smooth
 where eigenvalues do not meet. A local method that knows all that are near the worst steps along the edges between them.
@@ -29,7 +29,7 @@ from gbid.control.tune.search.spectrum import (
 BoolArray = npt.NDArray[np.bool_]
 _RESPONSES = ("sensitivity", "control", "static")
 _WINDOW = 0.3
-"""Pieces further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""
+"""Functions further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Score:
 
 
 @dataclass(frozen=True)
-class Piece:
-    """One smooth function of the gains: its name (kind, family, loop), value, slope, and place in the plane."""
+class ActiveFunction:
+    """One smooth function of the gains near the worst: its name (kind, family, loop), value, slope, and place in the plane."""
 
     kind: str
     family: int
@@ -53,17 +53,17 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Pieces:
-    """Pieces of the aim (to be large) and of the limits (to be at most 0) at one design, with their pairs."""
+class ActiveFunctions:
+    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs.""""""
 
     score: Score
-    aim: tuple[Piece, ...]
-    limits: tuple[Piece, ...]
-    pairs: tuple[tuple[Piece, Pair], ...] = ()
+    aim: tuple[ActiveFunction, ...]
+    limits: tuple[ActiveFunction, ...]
+    pairs: tuple[tuple[ActiveFunction, Pair], ...] = ()
 
 
 @dataclass(eq=False)
-class Problem:
+class GainProblem:
     """Loops, limits and bounds. Evaluates designs; counts them.
 
     Parameters
@@ -136,12 +136,12 @@ class Problem:
         """Return the aim as it is reported: damping factor, or decay [1/s]."""
         return aim if self.limits.objective == "damping" else aim * self.scale
 
-    def pieces(self, x: FloatArray) -> Pieces:
+    def functions(self, x: FloatArray) -> ActiveFunctions:
         """Evaluate one design with the slopes of everything near its worst."""
         self.evaluations += 1
-        aims: list[Piece] = []
-        limits: list[Piece] = []
-        pairs: list[tuple[Piece, Pair]] = []
+        aims: list[ActiveFunction] = []
+        limits: list[ActiveFunction] = []
+        pairs: list[tuple[ActiveFunction, Pair]] = []
         slopes_by = [family.derivatives(x) for family in self.families]
         systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
         values = [self.aim(system.values) for system in systems]
@@ -158,18 +158,20 @@ class Problem:
             chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
             slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
             for loop, w, value, slope in zip(chosen.loop, chosen.frequency, chosen.value, slopes, strict=True):
-                limits.append(Piece(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w)))
+                limits.append(
+                    ActiveFunction(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w))
+                )
         for name, row, limit in self.linear:
             if (excess := float(row @ x - limit)) > -_WINDOW:
-                limits.append(Piece(name, 0, 0, excess, row, 0j))
+                limits.append(ActiveFunction(name, 0, 0, excess, row, 0j))
         for extra in self.limits.extra:
             limits += [piece for f in range(len(self.families)) for piece in self._extra(extra, f, x)]
         violation = max([0.0, *(piece.value for piece in limits)])
-        return Pieces(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
+        return ActiveFunctions(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
 
     def _of_eigenvalues(
         self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
-    ) -> list[Piece]:
+    ) -> list[ActiveFunction]:
         loop, which = np.nonzero(chosen)
         values = system.values[loop, which]
         slopes = system.slopes(loop, which, derivatives.dA)
@@ -180,13 +182,13 @@ class Problem:
         else:
             numbers, gradients = -values.real / self.scale, -slopes.real / self.scale
         return [
-            Piece(kind, f, int(i), float(number), gradient, complex(value))
+            ActiveFunction(kind, f, int(i), float(number), gradient, complex(value))
             for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
         ]
 
     def _pairs(
         self, f: int, system: Eigensystem, derivatives: Derivatives, near: BoolArray
-    ) -> list[tuple[Piece, Pair]]:
+    ) -> list[tuple[ActiveFunction, Pair]]:
         """Pairs of eigenvalues about to meet, the mean as a piece that is smooth there."""
         found = []
         for i in np.flatnonzero(near.sum(axis=1) > 1):
@@ -199,7 +201,7 @@ class Problem:
             pair = pair_of(system, derivatives.dA[i], int(i), int(which[a]), int(which[b]))
             if pair is not None:
                 value, gradient = self._mean_of(pair)
-                found.append((Piece("pair", f, int(i), value, gradient, pair.mean), pair))
+                found.append((ActiveFunction("pair", f, int(i), value, gradient, pair.mean), pair))
         return found
 
     def _mean_of(self, pair: Pair) -> tuple[float, FloatArray]:
@@ -216,26 +218,26 @@ class Problem:
         first, second = np.argsort(np.abs(system.values[0] - place))[:2]
         return pair_of(system, derivatives.dA[loop], 0, int(first), int(second))
 
-    def slopes_at(self, pieces: Sequence[Piece], designs: Sequence[FloatArray]) -> FloatArray:
-        """Slopes of known pieces at designs close by (q, n, d), peaks' at their old frequency.
+    def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
+        """Slopes of known functions at designs close by (q, n, d), peaks' at their old frequency.
 
         NaN where they cannot be told: of two eigenvalues that meet too closely, and of limits from outside.
         """
-        found = np.full((len(designs), len(pieces), len(self.lower)), np.nan)
+        found = np.full((len(designs), len(functions), len(self.lower)), np.nan)
         for f, family in enumerate(self.families):
-            own = [i for i, piece in enumerate(pieces) if piece.family == f]
+            own = [i for i, piece in enumerate(functions) if piece.family == f]
             if not own:
                 continue
-            used = np.unique([pieces[i].loop for i in own])
+            used = np.unique([functions[i].loop for i in own])
             parts = [family.derivatives(x).of(used) for x in designs]
             loops = Derivatives.joined(parts)
-            spectral = any(pieces[i].kind in ("aim", "pole", "pair") for i in own)
+            spectral = any(functions[i].kind in ("aim", "pole", "pair") for i in own)
             system = Eigensystem.of(loops.A) if spectral else None
             for i in own:
                 # the loop of this piece in each design
-                which = np.searchsorted(used, pieces[i].loop) + len(used) * np.arange(len(designs))
-                found[:, i] = self._slopes_of(pieces[i], family, loops, system, which)
-        for i, piece in enumerate(pieces):
+                which = np.searchsorted(used, functions[i].loop) + len(used) * np.arange(len(designs))
+                found[:, i] = self._slopes_of(functions[i], family, loops, system, which)
+        for i, piece in enumerate(functions):
             rows = [row for name, row, _ in self.linear if name == piece.kind]
             if rows:
                 found[:, i] = rows[0]
@@ -243,7 +245,7 @@ class Problem:
 
     def _slopes_of(
         self,
-        piece: Piece,
+        piece: ActiveFunction,
         family: LoopFamily,
         loops: Derivatives,
         system: Eigensystem | None,
@@ -317,8 +319,8 @@ class Problem:
             found.append(("static", peaks, self.limits.static_amplification))
         return found
 
-    def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[Piece]:
-        """Pieces of a limit from outside, with slopes by differences."""
+    def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[ActiveFunction]:
+        """ActiveFunctions of a limit from outside, with slopes by differences."""
         family = self.families[f]
         base = extra.excess(family, x)
         near = np.flatnonzero(base > -_WINDOW)
@@ -329,7 +331,7 @@ class Problem:
             moved = x.copy()
             moved[i] += step
             slope[:, i] = (extra.excess(family, moved) - base) / step
-        return [Piece(extra.name, f, int(loop), float(base[loop]), slope[loop], 0j) for loop in near]
+        return [ActiveFunction(extra.name, f, int(loop), float(base[loop]), slope[loop], 0j) for loop in near]
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

@@ -1,4 +1,4 @@
-"""Local optimisation of the worst of many eigenvalues and peaks: sequential quadratic programming over the pieces."""
+"""Local optimisation of the worst of many eigenvalues and peaks by sequential quadratic programming."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import casadi as ca
 import numpy as np
 
 from gbid.control.tune.search.loop_family import FloatArray
-from gbid.control.tune.search.problem import Piece, Pieces, Problem, Score
+from gbid.control.tune.search.problem import ActiveFunction, ActiveFunctions, GainProblem, Score
 
 
 @dataclass(frozen=True)
-class Polished:
+class LocalOptimum:
     """A local optimum: gains, score, iterations, and whether no step improved any more."""
 
     x: FloatArray
@@ -33,8 +33,8 @@ def merit(score: Score, penalty: float) -> float:
     return score.value - penalty * score.violation
 
 
-def polish(
-    problem: Problem,
+def optimise_locally(
+    problem: GainProblem,
     start: FloatArray,
     *,
     radius: float = 0.1,
@@ -42,7 +42,7 @@ def polish(
     tolerance: float = 1e-9,
     curvature: bool = True,
     on_step: Callable[[int, Score], None] | None = None,
-) -> Polished:
+) -> LocalOptimum:
     r"""Climb to a local optimum.
 
     Each step solves, for the move d of the gains within a trust region,
@@ -50,14 +50,14 @@ def polish(
     .. math:: \max\; t - \rho s - \tfrac12 d^T H d \quad\text{with}\quad
               f_j + g_j d \ge t,\;\; c_k + a_k d \le s,\;\; s \ge 0
 
-    over all pieces f (damping factors) of the aim and c of the limits near the worst; H is the curvature of those
+    over all functions f (damping factors) of the aim and c of the limits near the worst; H is the curvature of those
     that held in the step before. Where two eigenvalues meet, their own slopes grow without bound; there a second
     step is tried that takes their mean instead and asks ``((a - b)/2)^2`` to be zero, both of which are
     smooth (at the optimum the two coalesce: Burke, Lewis, Overton, 2001). The better step is taken.
 
     Parameters
     ----------
-    problem : Problem
+    problem : GainProblem
     start : (d,) array
     radius : float
         First trust region, as a share of the bounds' width.
@@ -71,7 +71,7 @@ def polish(
 
     Returns
     -------
-    Polished
+    LocalOptimum
     """
     x = np.clip(start, problem.lower, problem.upper)
     found = _climb(problem, x, radius, max_iterations, tolerance, curvature, _PENALTY, on_step)
@@ -82,7 +82,7 @@ def polish(
 
 
 def _climb(
-    problem: Problem,
+    problem: GainProblem,
     x: FloatArray,
     radius: float,
     max_iterations: int,
@@ -90,20 +90,20 @@ def _climb(
     curvature: bool,
     penalty: float,
     on_step: Callable[[int, Score], None] | None,
-) -> Polished:
+) -> LocalOptimum:
     width = problem.upper - problem.lower
     H = np.zeros((len(x), len(x)))
-    pieces = problem.pieces(x)
-    stalled, milestone = 0, merit(pieces.score, penalty)
+    functions = problem.functions(x)
+    stalled, milestone = 0, merit(functions.score, penalty)
     for iteration in range(1, max_iterations + 1):
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
-        steps = [_back_to_meeting(problem, x, step) for step in _steps(pieces, H, width, box, penalty)]
+        steps = [_back_to_meeting(problem, x, step) for step in _steps(functions, H, width, box, penalty)]
         penalty = max([penalty, *(2.0 * step.limit_weight for step in steps if step.keeps_limits)])
         promises = [step.gain for step in steps]
         if max(promises, default=0.0) <= 1e-13 and any(not step.meeting for step in steps):
-            return Polished(x, pieces.score, iteration, True)
+            return LocalOptimum(x, functions.score, iteration, True)
         # a design whose aim alone is below the present merit needs no peaks
-        floor = merit(pieces.score, penalty)
+        floor = merit(functions.score, penalty)
         scores = [problem.score(x + step.move, floor) for step in steps]
         merits = [merit(score, penalty) for score in scores]
         best = int(np.argmax(merits)) if steps else 0
@@ -113,9 +113,9 @@ def _climb(
         good = improvement > 0.05 * promised
         if good or improvement > 1e-7:
             x = np.clip(x + steps[best].move, problem.lower, problem.upper)
-            pieces = problem.pieces(x)
+            functions = problem.functions(x)
             if on_step is not None:
-                on_step(iteration, pieces.score)
+                on_step(iteration, functions.score)
             if curvature:
                 H = _curvature(problem, x, steps[best])
         if improvement > 0.5 * promised:
@@ -125,36 +125,36 @@ def _climb(
         stalled = stalled + 1 if improvement < 1e-9 else 0
         creeps = False
         if iteration % 30 == 0:
-            reached = merit(pieces.score, penalty)
+            reached = merit(functions.score, penalty)
             creeps, milestone = reached - milestone < 1e-5, reached
         if radius < tolerance or stalled > 12 or creeps:
-            return Polished(x, pieces.score, iteration, True)
-    return Polished(x, pieces.score, max_iterations, False)
+            return LocalOptimum(x, functions.score, iteration, True)
+    return LocalOptimum(x, functions.score, max_iterations, False)
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A move of the gains, the gain in merit it promises, and the weights of the pieces that hold it back."""
+    """A move of the gains, the gain in merit it promises, and the weights of the functions that hold it back."""
 
     move: FloatArray
     gain: float
-    weights: tuple[tuple[Piece, float], ...]
+    weights: tuple[tuple[ActiveFunction, float], ...]
     limit_weight: float
     keeps_limits: bool
-    meeting: tuple[Piece, ...] = ()
+    meeting: tuple[ActiveFunction, ...] = ()
 
 
 def _steps(
-    pieces: Pieces, H: FloatArray, width: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float
+    functions: ActiveFunctions, H: FloatArray, width: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float
 ) -> list[_Step]:
     """Return the plain step, and those that let pairs of eigenvalues meet."""
-    steps = [_step(pieces, list(pieces.aim), [], H, width, box, penalty)]
+    steps = [_step(functions, list(functions.aim), [], H, width, box, penalty)]
     close = sorted(
-        (entry for entry in pieces.pairs if entry[0].value < pieces.score.value + 0.1),
+        (entry for entry in functions.pairs if entry[0].value < functions.score.value + 0.1),
         key=lambda entry: abs(entry[1].gap) / abs(entry[1].mean) ** 2,
     )
-    keep, rows = list(pieces.aim), []
-    means: list[Piece] = []
+    keep, rows = list(functions.aim), []
+    means: list[ActiveFunction] = []
     for mean, pair in close[:2]:
         own = [piece for piece in keep if (piece.family, piece.loop) == (mean.family, mean.loop)]
         gone = sorted(own, key=lambda piece: abs(piece.place - pair.mean))[:2]
@@ -162,14 +162,14 @@ def _steps(
         size = abs(pair.mean) ** 2
         rows += [(pair.gap.real / size, pair.gap_slope.real / size), (pair.gap.imag / size, pair.gap_slope.imag / size)]
         means.append(mean)
-        step = _step(pieces, keep, rows, H, width, box, penalty)
+        step = _step(functions, keep, rows, H, width, box, penalty)
         steps.append(None if step is None else replace(step, meeting=tuple(means)))
     return [step for step in steps if step is not None]
 
 
 def _step(
-    pieces: Pieces,
-    aim: list[Piece],
+    functions: ActiveFunctions,
+    aim: list[ActiveFunction],
     equalities: list[tuple[float, FloatArray]],
     H: FloatArray,
     width: FloatArray,
@@ -177,7 +177,7 @@ def _step(
     penalty: float,
 ) -> _Step | None:
     """Solve the quadratic programme in the move, in units of the box, and t and s, in units of its size."""
-    d, now = len(width), pieces.score.value
+    d, now = len(width), functions.score.value
     reach = np.maximum(box[1] - box[0], 1e-300)
     size = float(np.max(reach / width))
     rows, low, high = [], [], []
@@ -185,7 +185,7 @@ def _step(
         rows.append(np.concatenate([piece.slope * reach / size, [-1.0, 0.0]]))
         low.append((now - piece.value) / size)
         high.append(np.inf)
-    for piece in pieces.limits:
+    for piece in functions.limits:
         rows.append(np.concatenate([-piece.slope * reach / size, [0.0, 1.0]]))
         low.append(piece.value / size)
         high.append(np.inf)
@@ -207,14 +207,14 @@ def _step(
     if solution is None:
         return None
     y, duals = solution[0], solution[1] / length
-    gain = float(y[d] - penalty * y[d + 1]) * size + penalty * pieces.score.violation
-    held = [*aim, *pieces.limits]
+    gain = float(y[d] - penalty * y[d + 1]) * size + penalty * functions.score.violation
+    held = [*aim, *functions.limits]
     weights = tuple((piece, float(abs(w))) for piece, w in zip(held, duals, strict=False) if abs(w) > 1e-9)
     limit_weight = float(np.abs(duals[len(aim) : len(held)]).sum())
     return _Step(y[:d] * reach, gain, weights, limit_weight, bool(y[d + 1] < 1e-7))
 
 
-def _back_to_meeting(problem: Problem, x: FloatArray, step: _Step) -> _Step:
+def _back_to_meeting(problem: GainProblem, x: FloatArray, step: _Step) -> _Step:
     """Correct a step so that its pairs do meet where it ends.
 
     Their distance is a square root, so that an error of second order in the step would cost to first order.
@@ -257,8 +257,8 @@ def _solve(
     return y, answer["lam_a"].full()[:, 0]
 
 
-def _curvature(problem: Problem, x: FloatArray, step: _Step) -> FloatArray:
-    """Second derivative of the weighted pieces by differences of their slopes, made convex."""
+def _curvature(problem: GainProblem, x: FloatArray, step: _Step) -> FloatArray:
+    """Second derivative of the weighted functions by differences of their slopes, made convex."""
     width = problem.upper - problem.lower
     if not step.weights:
         return np.zeros((len(x), len(x)))
