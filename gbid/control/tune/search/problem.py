@@ -42,7 +42,7 @@ class Score:
 
 @dataclass(frozen=True)
 class ActiveFunction:
-    """One smooth function of the gains near the worst: its name (kind, family, loop), value, slope, and place in the plane."""
+    """One smooth function of the gains near the worst: name (kind, family, loop), value, slope, place in the plane."""
 
     kind: str
     family: int
@@ -64,7 +64,7 @@ class ActiveFunctions:
 
 @dataclass(eq=False)
 class GainProblem:
-    """Loops, limits and bounds. Evaluates designs; counts them.
+    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs."""
 
     Parameters
     ----------
