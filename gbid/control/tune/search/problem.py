@@ -64,7 +64,7 @@ class ActiveFunctions:
 
 @dataclass(eq=False)
 class GainProblem:
-    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs."""
+    """Loops, limits and bounds. Evaluates designs; counts them.
 
     Parameters
     ----------
