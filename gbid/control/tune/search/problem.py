@@ -54,7 +54,7 @@ class ActiveFunction:
 
 @dataclass(frozen=True)
 class ActiveFunctions:
-    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs.""""""
+    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs."""
 
     score: Score
     aim: tuple[ActiveFunction, ...]

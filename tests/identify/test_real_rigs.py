@@ -1,16 +1,14 @@
 """Measured recordings of two rigs: their references are met. The data are not part of the project."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from places import ROOT
 
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import load_structure
 from gbid.validate import cross_validate
 
-ROOT = Path(__file__).resolve().parents[1]
 DATA = ROOT.parent / "shared" / "data"
 
 

@@ -1,10 +1,10 @@
 """Faults of the measuring chain are found by name, and nothing is found where nothing is wrong."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import MEASURED as DATA
 from rig_point import machine
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
@@ -26,7 +26,6 @@ from gbid.rig import (
 )
 
 POINTS = [(p, n) for p in (3.0, 4.0, 5.0, 6.0, 7.0) for n in (0.0, 4000.0, 6000.0)]
-DATA = Path(__file__).resolve().parent.parent.parent / "shared" / "data"
 TURN = 2 * np.pi
 
 

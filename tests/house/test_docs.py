@@ -15,6 +15,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
+from places import ROOT, SUPPORT
 from run_page import FENCE, cells, fences
 from typer.main import get_command
 
@@ -24,7 +25,6 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job, make_rig_recordings
 from gbid.structure import Structure
 
-ROOT = Path(__file__).resolve().parent.parent
 DOCS = ROOT / "docs"
 PAGES = sorted(p for p in DOCS.rglob("*.md") if not {"_build", "jupyter_execute"} & set(p.relative_to(DOCS).parts))
 LINKED = [*PAGES, ROOT / "README.md", ROOT / "CHANGELOG.md"]
@@ -149,7 +149,7 @@ def test_code_cells_run(path: Path, tmp_path: Path) -> None:
     assert path.read_text(encoding="utf-8").startswith("---\nfile_format: mystnb\n"), "cells would not be executed"
     surroundings = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NO_COLOR": "1", "COLUMNS": "120"}
     done = subprocess.run(
-        [sys.executable, Path(__file__).with_name("run_page.py"), path],
+        [sys.executable, SUPPORT / "run_page.py", path],
         cwd=tmp_path,
         env={**os.environ, **surroundings},
         capture_output=True,

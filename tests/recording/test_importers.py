@@ -10,6 +10,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
+from places import DOCS, MEASURED
 from ruamel.yaml import YAML
 
 from gbid.errors import DataError, UsageError
@@ -448,7 +449,7 @@ def test_mappings_of_both_forms_are_equal():
 
 
 def test_the_mappings_of_the_file_format_page_are_valid():
-    page = (Path(__file__).parents[1] / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    page = (DOCS / "file-formats.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL)
     assert len(blocks) == 3
     for block in blocks:
@@ -458,7 +459,7 @@ def test_the_mappings_of_the_file_format_page_are_valid():
 
 
 def test_the_csv_of_the_file_format_page_is_read_by_its_mapping(tmp_path):
-    page = (Path(__file__).parents[1] / "docs" / "file-formats.md").read_text(encoding="utf-8")
+    page = (DOCS / "file-formats.md").read_text(encoding="utf-8")
     text = re.search(r"```text\n(# rig 2.*?)```", page, flags=re.DOTALL)[1]
     (tmp_path / "a.csv").write_text(text)
     entries = YAML(typ="safe").load(re.search(r"```yaml\n(.*?)```", page, flags=re.DOTALL)[1])
@@ -483,7 +484,7 @@ def test_a_csv_of_25000_rows_is_read_quickly(tmp_path):
 
 
 def test_the_twin_mode_rig():
-    path = Path(__file__).parents[1].parent / "shared" / "data" / "twin_mode_rig.npz"
+    path = MEASURED / "twin_mode_rig.npz"
     if not path.is_file():
         pytest.skip("the measured recordings are not beside the checkout")
     mapping = {

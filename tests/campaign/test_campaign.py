@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from campaign_files import alive, batch, interrupts_blocked, left_over, rows_of, stamps, task, workers_of, write_springs
 from experiment_files import gbid, write_spring_data
+from places import SUPPORT
 
 from gbid import load_table
 from gbid.atomic import remove_stale_parts
@@ -296,7 +297,7 @@ def may_mount():
 def test_a_disk_that_fills(engine, springs, fresh):
     """A file system of 360 kB is full after some fits; with more room the rest is made."""
     script = [sys.executable, "-c", FILL_AND_RESUME, str(fresh), str(fresh.parent / "disk"), engine]
-    environment = {**files.ENVIRONMENT, "PYTHONPATH": os.pathsep.join([str(files.ROOT), str(Path(__file__).parent)])}
+    environment = {**files.ENVIRONMENT, "PYTHONPATH": os.pathsep.join([str(files.ROOT), str(SUPPORT)])}
     done = subprocess.run(["unshare", "-rm", *script], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

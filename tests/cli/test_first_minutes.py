@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from experiment_files import gbid, write_quick, write_spring
+from places import ROOT
 from scipy.io import loadmat
 
 from gbid.cli.completion import complete_experiment, complete_source
@@ -19,7 +20,6 @@ from gbid.cli.main import app
 from gbid.experiment.json_schema import experiment_json_schema
 from gbid.yaml_file import read_yaml
 
-ROOT = Path(__file__).resolve().parents[1]
 EXPERIMENTS = [p for p in sorted((ROOT / "experiments").rglob("*.yaml")) if "results" not in p.relative_to(ROOT).parts]
 VERBS = [command.name for command in app.registered_commands]
 

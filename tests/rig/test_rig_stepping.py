@@ -2,10 +2,10 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DOCS
 from rig_point import actuator, machine
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, solve_continuous_lyapunov
@@ -359,7 +359,7 @@ def test_benchmark_runs(tmp_path, capsys):
     assert rig_speed.main(["--quick", "--output", str(tmp_path / "run.json")]) == 0
     run = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
     assert capsys.readouterr().out.strip() == rig_speed.rig_table(run)
-    stored = json.loads((Path(__file__).parents[1] / "docs" / "rig-speed.json").read_text(encoding="utf-8"))
+    stored = json.loads((DOCS / "rig-speed.json").read_text(encoding="utf-8"))
     assert stored.keys() == run.keys()
     assert stored["n_recordings"] == 86
 

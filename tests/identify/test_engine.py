@@ -25,6 +25,7 @@ from fit_cases import (
     simulated,
     smooth,
 )
+from places import SUPPORT
 
 from gbid import compiling
 from gbid.errors import UsageError
@@ -426,7 +427,7 @@ print(result.options["engine"], (smallest * 1.0).tolist() == [5e-324, 1e-310], 5
 @needs_compiler
 def test_loading_a_kernel_leaves_small_numbers_alone(tmp_path):
     """A library linked for fast mathematics would make the process flush subnormal numbers to zero."""
-    script = SUBNORMAL.format(tests=str(Path(__file__).parent))
+    script = SUBNORMAL.format(tests=str(SUPPORT))
     environment = {**os.environ, "GBID_CACHE_DIR": str(tmp_path)}
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=120, env=environment)
     assert run.stdout.split() == ["compiled", "True", "True", "True"], run.stderr

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 from ruamel.yaml import YAML
 from study_rig import CAMPAIGN, PAPER, POINTS, machine_at
 from test_lpv_direct import EXACT, FIXED, recorded
@@ -17,7 +18,6 @@ from gbid.rig import Prbs, Scatter, Stationary, record
 from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
 
 pytestmark = pytest.mark.slow
-ROOT = Path(__file__).parents[1]
 
 
 def errors(fit):

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +21,7 @@ from fit_cases import (
     piezo_motion,
     simulated,
 )
+from places import SUPPORT
 
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit
@@ -474,7 +474,7 @@ IGNORE = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
 
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to itself")
 def test_ctrl_c_ends_the_fit_at_the_next_iteration():
-    script = SCRIPT.format(tests=str(Path(__file__).parent))
+    script = SCRIPT.format(tests=str(SUPPORT))
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert run.stdout.strip() == "stopped after 2 True"
     # Outside the fit Ctrl-C is what it was: the second one ended the program.
@@ -486,7 +486,7 @@ def test_ctrl_c_ends_the_fit_at_the_next_iteration():
 @pytest.mark.skipif(sys.platform == "win32", reason="sends SIGINT to itself")
 def test_ctrl_c_that_is_ignored_does_not_end_the_fit():
     """As in a worker of a batch."""
-    script = SCRIPT.format(tests=str(Path(__file__).parent)).replace("seen = []", "seen = []\n" + IGNORE)
+    script = SCRIPT.format(tests=str(SUPPORT)).replace("seen = []", "seen = []\n" + IGNORE)
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 

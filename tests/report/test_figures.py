@@ -1,12 +1,12 @@
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import matplotlib as mpl
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from places import ROOT
 
 import gbid
 from gbid.errors import UsageError
@@ -117,7 +117,7 @@ def test_no_global_state_and_no_pyplot(validation):
     response_figure(validation)
     assert dict(mpl.rcParams) == before
     code = "import sys, gbid.report.figures; assert 'matplotlib.pyplot' not in sys.modules"
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
 @pytest.fixture
@@ -195,7 +195,7 @@ def test_report_gives_figures_when_asked_and_not_before():
         "for name in gbid.report.__all__: assert callable(getattr(gbid.report, name))\n"
         "try:\n    gbid.report.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
     )
-    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=Path(__file__).resolve().parents[1])
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True, cwd=ROOT)
 
 
 @pytest.mark.parametrize(

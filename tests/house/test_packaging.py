@@ -1,11 +1,11 @@
 """What travels inside the wheel, and from where; read from the build's own settings."""
 
 import tomllib
-from pathlib import Path
+
+from places import ROOT
 
 from gbid.share import share_folder
 
-ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 WHEEL = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
 

@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 from experiment_files import SPRING_STRUCTURE, write_spring_data
+from places import ROOT
 
 from gbid.cli.tally import Tally
 from gbid.errors import DataError, NoSpaceError
 from gbid.experiment.stages import Made, Silent, Task
 
-ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 
 NEEDS_DASK = pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed (gbid[dask])")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DOCS
 
 import gbid
 from benchmarks import tune_speed
@@ -316,7 +317,7 @@ def test_benchmark_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert tune_speed.main(["--quick", "--output", str(tmp_path / "run.json")]) == 0
     run = json.loads((tmp_path / "run.json").read_text(encoding="utf-8"))
     assert capsys.readouterr().out.strip() == tune_speed.tune_table(run)
-    stored = json.loads((Path(__file__).parents[1] / "docs" / "tune-speed.json").read_text(encoding="utf-8"))
+    stored = json.loads((DOCS / "tune-speed.json").read_text(encoding="utf-8"))
     assert stored.keys() == run.keys()
     assert {row["n_points"] for row in stored["biquad"]} == {1, 15}
     for row in (*run["proportional"], *stored["proportional"]):

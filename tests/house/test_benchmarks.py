@@ -9,13 +9,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import DOCS
 
 from benchmarks import campaign_speed, fit_speed, table
 from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, sampled
 from benchmarks.floor import operations_per_sample
 from gbid.identify.kernel.source import KernelPattern
 
-STORED = Path(__file__).resolve().parent.parent / "docs" / "benchmarks.json"
+STORED = DOCS / "benchmarks.json"
 
 
 @pytest.mark.skipif(not any(map(shutil.which, ("cc", "gcc", "clang"))), reason="no C compiler to measure")

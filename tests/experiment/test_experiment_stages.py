@@ -1,11 +1,12 @@
 import csv
 import inspect
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from experiment_files import QUICK, copy_results, write_quick, write_spring, write_spring_data
+from places import EXPERIMENTS
+from places import MEASURED as SHARED
 
 from gbid.errors import DataError, UsageError
 from gbid.experiment.keys import content_key, stored_key
@@ -25,9 +26,6 @@ from gbid.identify import fit
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
 from gbid.recording import Recording, load_recording
-
-SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
-EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 
 
 class Log:

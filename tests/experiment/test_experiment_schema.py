@@ -2,13 +2,12 @@ from pathlib import Path
 
 import pytest
 from experiment_files import QUICK, SPRING, SPRING_STRUCTURE, write_quick, write_spring
+from places import EXPERIMENTS
 
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.pairs import figure_pairs, validation_pairs
 from gbid.experiment.problems import ExperimentError
-
-EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 
 
 def problems_of(path: Path) -> list[str]:
