@@ -15,8 +15,9 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.answer import Answer
-from benchmarks.case import N_STATES, SAMPLE_TIME, FloatArray, Samples
+from benchmarks.case import N_STATES, SAMPLE_TIME, Samples
 from benchmarks.scaling import names, scales, start_state
+from gbid.arrays import FloatArray
 
 _SQUARINGS = 8  # of a matrix whose norm, once balanced, is below 30
 _TERMS = 8

@@ -6,13 +6,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
 from gbid import Recording, load_model
+from gbid.arrays import FloatArray
 from gbid.structure import PiezoPair, RotorBearing, evaluate
-
-FloatArray = npt.NDArray[np.float64]
 
 SAMPLE_TIME = 2e-4  # s, the paper's
 STRUCTURE = RotorBearing(pade_order=1, disturbance_gain="full")

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.case import N_STATES, STRUCTURE, FloatArray, Samples
+from benchmarks.case import N_STATES, STRUCTURE, Samples
+from gbid.arrays import FloatArray
 
 
 def names() -> list[str]:

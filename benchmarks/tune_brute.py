@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
 import gbid
+from gbid.arrays import FloatArray
 from gbid.control import p_controller
 
-FloatArray = npt.NDArray[np.float64]
 COARSE = np.concatenate([[0.0], np.geomspace(3.0, 2000.0, 60)])
 FINE = np.concatenate([[0.0], np.geomspace(0.5, 5000.0, 1500)])
 

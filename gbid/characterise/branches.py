@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbid.recording import FloatArray
+from gbid.arrays import FloatArray
 
 _WIDEST = 2.5  # usual steps between neighbours
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import brief
 from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
 from gbid.errors import DataError, UsageError
-from gbid.recording import FloatArray, Recording
-
-BoolArray = npt.NDArray[np.bool_]
+from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: less of it on the way to the end of the travel is saturation
 _NEAR_LIMIT = 0.01  # of the range

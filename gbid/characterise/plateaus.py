@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 MIN_SAMPLES = 40
 """A plateau with fewer samples in its steady part says nothing of its own scatter."""

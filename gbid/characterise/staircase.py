@@ -6,11 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import find_plateaus, steady_means, steady_parts
 from gbid.characterise.static_map import StaticMap
 from gbid.errors import DataError, UsageError
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 _AT_REST = 0.01  # of the whole travel of the command
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import stdtrit
 
+from gbid.arrays import FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

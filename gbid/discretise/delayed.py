@@ -5,14 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.discretise.dual import Dual
 from gbid.discretise.expm import exponentials, squarings_for
 from gbid.discretise.hold import Hold
 from gbid.errors import UsageError
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Taps(NamedTuple):

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import matrix_balance
+
+from gbid.arrays import FloatArray
 
 TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double: enough where the norm is at most one
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
@@ -82,7 +83,7 @@ def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
     return total
 
 
-def squarings_for(matrices: Iterable[npt.NDArray[np.float64]]) -> int:
+def squarings_for(matrices: Iterable[FloatArray]) -> int:
     """Doublings that bring every one of some matrices within the reach of the Taylor polynomial.
 
     Parameters
@@ -98,7 +99,7 @@ def squarings_for(matrices: Iterable[npt.NDArray[np.float64]]) -> int:
     return max((_squarings(np.asarray(Z, float)) for Z in matrices), default=0)
 
 
-def _squarings(Z: npt.NDArray[np.float64]) -> int:
+def _squarings(Z: FloatArray) -> int:
     if Z.size == 0 or not np.isfinite(Z).all():
         return 0
     Z = matrix_balance(Z, permute=False)[0]

@@ -7,7 +7,6 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from gbid.discretise.dual import Dual
 from gbid.discretise.expm import exponentials, squarings_for
@@ -15,8 +14,6 @@ from gbid.errors import UsageError
 
 Hold = Literal["zoh", "foh"]
 """How an input behaves between samples: constant (zero-order) or on a straight line (first-order hold)."""
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Discrete(NamedTuple):

@@ -10,6 +10,7 @@ from gbid.experiment.problems import Location, nearest
 from gbid.experiment.rig_parts import faults_of, machine_at, rig_experiment
 from gbid.experiment.schema_rig import RigSection
 from gbid.experiment.structures import rig_model
+from gbid.operating_point import point_label
 from gbid.rig.excitation.prbs import whole_samples
 
 Found = Iterator[tuple[Location, str]]
@@ -90,7 +91,7 @@ def staircases_are_somewhere(experiment: Experiment) -> Found:
         section = getattr(rig, part, None)
         for i, place in enumerate((section.at if section else None) or ()):
             if (place.pressure_bar, place.speed_rpm) not in there:
-                text = f"{place.pressure_bar:g} bar, {place.speed_rpm:g} rpm is no operating point of the rig; add it"
+                text = f"{point_label(place.pressure_bar, place.speed_rpm)} is no operating point of the rig; add it"
                 yield ("rig", part, "at", i), text
 
 

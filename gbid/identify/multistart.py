@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult
 from gbid.recording import Recording
 from gbid.structure import Structure
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +36,7 @@ class MultiStart:
 
     best: FitResult
     losses: FloatArray
-    converged: npt.NDArray[np.bool_]
+    converged: BoolArray
     same_optimum: int
     spread: float
 

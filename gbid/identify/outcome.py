@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import Dual
 from gbid.identify.data import FitData
 from gbid.identify.nlp.assembly import Assembly
@@ -19,8 +20,6 @@ from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_ga
 from gbid.identify.whiteness import whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 _COLOURED = 0.01  # probability below which residuals do not count as white, shared by the outputs
 _MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
 _NEAR = 1e-6  # of a parameter's scale: it lies on its bound

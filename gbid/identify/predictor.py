@@ -8,8 +8,8 @@ from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.discretise import (
     Dual,
     Hold,
@@ -22,7 +22,6 @@ from gbid.discretise import (
 from gbid.errors import UsageError
 from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
 
-FloatArray = npt.NDArray[np.float64]
 Focus = Literal["prediction", "simulation"]
 
 

@@ -12,16 +12,14 @@ from functools import singledispatch
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import minimize
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
 from gbid.structure import PiezoPair, Plant, RotorBearing, evaluate
 from gbid.structure.rotor_bearing import AXES, PAIRS
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 _FREQUENCIES = 800  # in the band of the resonance: the modes are far wider than the distance of the rest
 _ENOUGH = 50_000  # samples of a record that start values are taken from; the fit itself takes all
 

@@ -5,12 +5,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc
 
-FloatArray = npt.NDArray[np.float64]
-
+from gbid.arrays import FloatArray
 
 _FEW = 64  # lags up to which plain products are quicker than transforms
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.atomic import atomic_path
 from gbid.errors import UsageError
 from gbid.identify import FitResult
@@ -103,7 +104,7 @@ def _coefficients(model: LPVModel) -> Iterator[Row]:
         yield (key, SI_UNITS[key.split("_")[0]], *(repr(value) for value in model.coefficients[key]))
 
 
-def _responses(model: LinearModel, frequency_hz: npt.NDArray[np.float64]) -> Iterator[Row]:
+def _responses(model: LinearModel, frequency_hz: FloatArray) -> Iterator[Row]:
     response = model.frequency_response(frequency_hz)
     pairs = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
     names = [f"{model.output_names[i]}/{model.input_names[j]}" for i, j in pairs]

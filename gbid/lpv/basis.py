@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 
 TERMS = ("1", "P", "Omega", "Omega P", "P^2", "Omega^2")
@@ -33,7 +34,7 @@ def basis(pressure_bar: Any, speed_rpm: Any) -> tuple[Any, ...]:
     return tuple(_power(pressure_bar, i) * _power(speed_rpm, j) for i, j in EXPONENTS)
 
 
-def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> FloatArray:
     """Terms as columns: the matrix of the least-squares problem behind Eq. 16.
 
     Parameters
@@ -49,7 +50,7 @@ def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> npt.NDA
     return np.stack([term * np.ones(P.shape) for term in basis(P, Omega)], axis=-1)
 
 
-def polynomial(coefficients: Sequence[Any] | npt.NDArray[np.float64], terms: Sequence[Any]) -> Any:
+def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -> Any:
     """Sum of coefficients times terms.
 
     Parameters

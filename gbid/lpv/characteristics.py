@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.structure import KEY_PARAMETERS
-
-FloatArray = npt.NDArray[np.float64]
 
 CHARACTERISTICS = (
     *("tau_x", "tau_y"),

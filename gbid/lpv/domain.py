@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import ExtrapolationWarning, UsageError
 
 
@@ -92,7 +93,7 @@ class Domain:
             warnings.warn(f"{text}: extrapolated", ExtrapolationWarning, stacklevel=stacklevel)
 
 
-def _numbers(name: str, value: Any, owner: str) -> npt.NDArray[np.float64]:
+def _numbers(name: str, value: Any, owner: str) -> FloatArray:
     """Return finite numbers as a flat array."""
     raw = np.asarray(value)
     if raw.dtype.kind not in "fiu":

@@ -14,6 +14,7 @@ from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, basis, polynomial
 from gbid.lpv.domain import Domain
 from gbid.lpv.tables import Correction, PiezoControllers, ProportionalDesign, Quantity, ReferenceModes
+from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 from gbid.structure.linear import Structure
 
@@ -211,7 +212,7 @@ class LPVModel:
         for key in ("tau_x", "tau_y"):
             if values[key] <= 0:
                 raise UsageError(
-                    f"model {self.name!r}: {key} = {values[key]:g} s at {pressure_bar:g} bar, {speed_rpm:g} rpm; "
+                    f"model {self.name!r}: {key} = {values[key]:g} s at {point_label(pressure_bar, speed_rpm)}; "
                     "the polynomials do not hold where a delay is not positive"
                 )
         return values
@@ -221,7 +222,7 @@ class LPVModel:
     ) -> LinearModel:
         names = tuple(f"{letter}_{axis}" for axis in "xy")
         model = evaluate(structure, values, names, ("p_x", "p_y"))
-        return replace(model, name=f"{self.name} at {point[0]:g} bar, {point[1]:g} rpm")
+        return replace(model, name=f"{self.name} at {point_label(*point)}")
 
     # The mappings are read-only views, which pickle refuses: workers get plain dicts.
     def __getstate__(self) -> dict[str, Any]:

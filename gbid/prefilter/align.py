@@ -7,10 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.runout import TURN, RunoutMap
 from gbid.prefilter.shaft import ShaftMotion, shaft_motion
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 SURE = 5.0
 """Standard deviations by which every other offset must be worse."""

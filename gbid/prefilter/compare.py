@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.identify_runout import identify_runout
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 HARMONICS = (1, 2, 3, 5, 7, 10, 15, 20)
 BINS = (25, 50, 100, 200)

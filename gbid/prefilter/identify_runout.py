@@ -7,11 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.median import running_median
 from gbid.prefilter.runout import TURN, RunoutMap, differing_condition
 from gbid.prefilter.shaft import ShaftMotion, shaft_motion
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 # A harmonic that the recorded angles cannot tell from another one (two per 50 angles a turn, say).
 _WORST_CONDITION = 20.0

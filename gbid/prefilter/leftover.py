@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 _UPPER = 0.5  # part of the spectrum, from its end, that shows the sensor noise alone
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import median_filter
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 
 SPIKE_SIGMAS = 5.0
 

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.runout import RunoutMap
-from gbid.recording import FloatArray
 
 
 class OnlinePrefilter:

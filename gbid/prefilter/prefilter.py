@@ -7,11 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.prefilter.median import count_spikes, running_median
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 _NO_MEAN = ("phi", "force")  # an angle and an impact have no offset to remove
 

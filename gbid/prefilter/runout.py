@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording import FloatArray
 
 TURN = 2 * np.pi
 

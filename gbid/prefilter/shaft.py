@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 
 _STILL = np.deg2rad(1.0)
 _SPEED_TOLERANCE = 0.02

@@ -13,10 +13,10 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.hdf5 import add_dataset, changing, read_attribute, read_dataset, reading, writing
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
-from gbid.recording import FloatArray
 
 # Of each dataset, its unit and its name in words.
 _MAP = {

@@ -1,10 +1,11 @@
 """Recordings: the data object, its HDF5 store, importers, and checks of their quality."""
 
+from gbid.arrays import FloatArray
 from gbid.recording.importers import ImportMapping, SignalMapping, import_recording
 from gbid.recording.quality import find_problems
 from gbid.recording.quality_group import content_digest, find_group_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 from gbid.recording.store import load_recording, save_recording
 
 __all__ = [

@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.recording.quality_answer import find_answer_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.quality_rub import find_rub
 from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 
 MIN_SAMPLES = 100
 """Fewer samples than this identify nothing."""
@@ -126,7 +126,7 @@ def _stays(column: FloatArray) -> dict[float, int]:
     return found if sum(found.values()) > MAX_STAY * len(column) else {}
 
 
-def _in_long_runs(at: npt.NDArray[np.bool_]) -> int:
+def _in_long_runs(at: BoolArray) -> int:
     """Count the true entries in runs of at least MIN_RUN."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
     lengths = edges[1::2] - edges[::2]

@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import betaincinv
 
+from gbid.arrays import FloatArray
 from gbid.recording.quality_problem import SignalProblem
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 
 SEGMENTS = (10, 20)
 """Fewest and most parts of the recording; its spectra are averages over them."""

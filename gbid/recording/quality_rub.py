@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.recording.quality_problem import SignalProblem
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 
 OUTSIDE = 0.7
 """Impacts are looked for beyond this share of the largest radius."""
@@ -119,7 +120,7 @@ def _film(p: FloatArray) -> FloatArray:
     return np.stack([x**2, x * y, y**2, x**3, x**2 * y, x * y**2, y**3], axis=-1)
 
 
-def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> npt.NDArray[np.bool_]:
+def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> BoolArray:
     """Mark the samples with no impact near: around one the motion is turned both ways."""
     if not hit.size:
         return np.ones(len(at), dtype=bool)
@@ -147,7 +148,7 @@ def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
     return np.asarray(np.linalg.solve(gram, scaled.T @ change) / size[:, None])
 
 
-def _struck(rec: Recording, half: int) -> npt.NDArray[np.bool_]:
+def _struck(rec: Recording, half: int) -> BoolArray:
     """Mark the samples whose window a measured force reaches."""
     struck = np.zeros(rec.n_samples, dtype=bool)
     for name in ("f", "force"):

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.ndimage import median_filter
 
+from gbid.arrays import FloatArray
 from gbid.recording.quality_problem import SignalProblem
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 
 SPEED_TOLERANCE = 0.02
 """Largest difference of the encoder's speed from the one claimed."""

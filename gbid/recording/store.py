@@ -8,8 +8,9 @@ import h5py
 import numpy as np
 
 from gbid import hdf5
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
 
 KIND = "recording"

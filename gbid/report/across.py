@@ -11,8 +11,9 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import UsageError
-from gbid.report.canvas import BLACK, BLUE, GREY, RED, TWO_COLUMNS, FloatArray, legend_above, letter, panels, styled
+from gbid.report.canvas import BLACK, BLUE, GREY, RED, TWO_COLUMNS, legend_above, letter, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,7 +36,7 @@ class Histogram:
 
     label: str
     edges: FloatArray
-    counts: npt.NDArray[np.int64]
+    counts: IntArray
     mean: float
     std: float
 
@@ -123,7 +124,7 @@ class ActuatorParameters:
     """
 
     values: Mapping[str, FloatArray]
-    outliers: Mapping[str, npt.NDArray[np.bool_]]
+    outliers: Mapping[str, BoolArray]
     nominal: int | None = None
 
 

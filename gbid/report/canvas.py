@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.errors import UsageError
@@ -17,7 +16,6 @@ from gbid.report.figures import STYLE
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FloatArray = npt.NDArray[np.float64]
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -108,8 +106,3 @@ def legend_above(figure: Figure, ax: Axes, columns: int = 6, title: str = "") ->
     handles, labels = ax.get_legend_handles_labels()
     place: dict[str, Any] = {"loc": "outside upper center", "ncols": min(columns, len(labels)), "handlelength": 2.8}
     figure.legend(handles, labels, title=title or None, title_fontsize=9, **place)
-
-
-def at_point(pressure_bar: float, speed_rpm: float) -> str:
-    """Write an operating point: ``6 bar, 2050 rpm``."""
-    return f"{pressure_bar:g} bar, {speed_rpm:g} rpm"

@@ -10,14 +10,13 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from gbid.report.canvas import BLACK, GREY, FloatArray, legend_above, panels, series, styled
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.report.canvas import BLACK, GREY, legend_above, panels, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from gbid.structure import LinearModel
-
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.errors import UsageError
 
 if TYPE_CHECKING:
@@ -128,7 +128,7 @@ def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: st
         figure.savefig(path, format=kind, metadata=dict(metadata))
 
 
-def _plot_inputs(validation: Validation, ax: Axes, shown: npt.NDArray[np.bool_]) -> None:
+def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
     scale, label = _shown_unit(validation.input_units[0])
     for i, name in enumerate(validation.input_names):
         style = _INPUTS[i % len(_INPUTS)]
@@ -145,7 +145,7 @@ def _legend_above(ax: Axes) -> None:
     )
 
 
-def _part(time: npt.NDArray[np.float64], from_s: float | None, to_s: float | None) -> npt.NDArray[np.bool_]:
+def _part(time: FloatArray, from_s: float | None, to_s: float | None) -> BoolArray:
     begin, end = time[0] if from_s is None else from_s, time[-1] if to_s is None else to_s
     step = (time[-1] - time[0]) / max(len(time) - 1, 1)
     shown = (time >= begin - 1e-6 * step) & (time <= end + 1e-6 * step)

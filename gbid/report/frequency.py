@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.errors import UsageError
-from gbid.report.canvas import GREY, TWO_COLUMNS, FloatArray, legend_above, letter, panels, series, styled
+from gbid.report.canvas import GREY, TWO_COLUMNS, legend_above, letter, panels, series, styled
 from gbid.report.figures import symbol
 
 if TYPE_CHECKING:
     from gbid.control import SensitivityData
 
-ComplexArray = npt.NDArray[np.complex128]
 _RANGE_DB = 90.0
 
 

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.report.canvas import TWO_COLUMNS, FloatArray, legend_above, letter, panels, series, styled
+from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

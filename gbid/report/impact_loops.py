@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
-from gbid.report.canvas import TWO_COLUMNS, FloatArray, at_point, legend_above, letter, panels, series, styled
+from gbid.operating_point import point_label
+from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 from gbid.report.of_results import validation_along
 
 if TYPE_CHECKING:
@@ -79,7 +81,7 @@ def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.
         np.asarray(steps[0] * np.arange(-before, after)),
         {label: mean for label, (mean, _) in parts.items()},
         {label: spread for label, (_, spread) in parts.items()},
-        at_point(point["pressure_bar"], point["speed_rpm"]),
+        point_label(point["pressure_bar"], point["speed_rpm"]),
     )
 
 

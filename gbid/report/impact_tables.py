@@ -13,6 +13,7 @@ from rich.text import Text
 from gbid.control.impact.impact_store import mode_rows, response_rows
 from gbid.control.impact.study import ImpactStudy
 from gbid.lpv import ReferenceModes
+from gbid.operating_point import point_label
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
 
@@ -75,7 +76,7 @@ def impact_tables(documents: Sequence[Row]) -> Group:
     points = dict.fromkeys((d["pressure_bar"], d["speed_rpm"]) for d in documents)
     for pressure, speed in points:
         here = {d["loop"]: d for d in documents if (d["pressure_bar"], d["speed_rpm"]) == (pressure, speed)}
-        where = f"{pressure:g} bar, {speed:g} rpm"
+        where = point_label(pressure, speed)
         paper = {loop: document for loop, document in here.items() if loop in _PAPER}
         for what, sign, unit, key, column, digits in _QUANTITIES if paper else ():
             parts += [_mode_table(f"{where}: {what}", paper, sign, unit, key, column, digits), Text("")]

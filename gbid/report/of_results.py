@@ -11,9 +11,9 @@ from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
 from gbid.lpv import CHARACTERISTICS, LPVFit
+from gbid.operating_point import point_label
 from gbid.recording import Recording
 from gbid.report.across import ActuatorParameters, Histogram
-from gbid.report.canvas import at_point
 from gbid.report.figures import symbol
 from gbid.report.impact import ImpactCurves
 from gbid.report.over_pressure import PressurePanel, delays_data, modes_data, static_gains_data
@@ -153,7 +153,7 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
         {label: v.measured[parts[label], j] for label, v in found.items()},
         {label: v.force[parts[label], j] for label, v in found.items()},
         axis,
-        at_point(open_loop.conditions["pressure_bar"], open_loop.conditions["speed_rpm"]),
+        point_label(open_loop.conditions["pressure_bar"], open_loop.conditions["speed_rpm"]),
     )
 
 
@@ -177,7 +177,7 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
     """
     v, j = validation_along(study, axis), "xy".index(axis)
     part = slice(max(0, v.windows[0][0] - _BEFORE), v.windows[0][1])
-    place = at_point(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+    place = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
     measured = v.measured[part, j] - v.stationary[part, j]
     return ImpactCurves(
         v.time[part] - v.time[v.windows[0][0]],

@@ -10,8 +10,10 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.report.canvas import TWO_COLUMNS, FloatArray, legend_above, letter, panels, series, styled
+from gbid.operating_point import point_label
+from gbid.report.canvas import TWO_COLUMNS, legend_above, letter, panels, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -126,7 +128,7 @@ def modes_data(
     def at(bar: float, rpm: float) -> Sequence[float]:
         modes = model.at(bar, rpm).modes()
         if len(modes) < 2:
-            raise UsageError(f"{model.name} at {bar:g} bar, {rpm:g} rpm has {len(modes)} modes; two are drawn")
+            raise UsageError(f"{model.name} at {point_label(bar, rpm)} has {len(modes)} modes; two are drawn")
         return [mode[index] for mode in modes[:2]]
 
     return _panels(model, labels, at, speeds_rpm, points, estimates)

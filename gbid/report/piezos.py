@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import UsageError
-from gbid.report.canvas import BLACK, RED, TWO_COLUMNS, FloatArray, legend_above, letter, panels, series, styled
+from gbid.report.canvas import BLACK, RED, TWO_COLUMNS, legend_above, letter, panels, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,9 +42,9 @@ class PiezoStaircase:
     command: FloatArray
     command_unit: str
     position: FloatArray
-    steps: npt.NDArray[np.int64]
+    steps: IntArray
 
-    def plateaus(self) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    def plateaus(self) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Command and position [m] at the end of each step (mean of its last tenth), and whether the step rose."""
         ends = [*self.steps[1:], len(self.time)]
         parts = [slice(max(b, e - max(1, (e - b) // 10)), e) for b, e in zip(self.steps, ends, strict=True)]

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import UsageError
 from gbid.report.figures import STYLE, symbol
 from gbid.report.numbers import probability
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
 
     from gbid.validate import ResidualTest
 
-FloatArray = npt.NDArray[np.float64]
 _INSIDE, _OUTSIDE, _BAND = "#4d4d4d", "#d55e00", "#dbe9f4"
 _ROW_INCHES, _FRAME_INCHES, _COLUMN_INCHES = 1.3, 1.25, 2.1
 
@@ -45,13 +45,13 @@ class ResidualPanel:
 
     output: str
     against: str
-    lags: npt.NDArray[np.int64]
+    lags: IntArray
     time: FloatArray
     correlation: FloatArray
     band: float
 
     @property
-    def outside(self) -> npt.NDArray[np.bool_]:
+    def outside(self) -> BoolArray:
         """Which values lie outside the band."""
         return np.asarray(np.abs(self.correlation) > self.band)
 

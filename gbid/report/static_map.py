@@ -10,18 +10,8 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from gbid.report.canvas import (
-    BLACK,
-    BLUE,
-    ONE_COLUMN,
-    RED,
-    TWO_COLUMNS,
-    FloatArray,
-    legend_above,
-    letter,
-    panels,
-    styled,
-)
+from gbid.arrays import BoolArray, FloatArray
+from gbid.report.canvas import BLACK, BLUE, ONE_COLUMN, RED, TWO_COLUMNS, legend_above, letter, panels, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -50,7 +40,7 @@ class StaticSweep:
     axis: str
     u: FloatArray
     p: FloatArray
-    rising: npt.NDArray[np.bool_]
+    rising: BoolArray
     gain: FloatArray
     offset: FloatArray
 

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.report.canvas import BLACK, BLUE, RED, TWO_COLUMNS, FloatArray, panels, styled
+from gbid.report.canvas import BLACK, BLUE, RED, TWO_COLUMNS, panels, styled
 from gbid.report.figures import symbol
 from gbid.report.numbers import exponent_of
 

@@ -7,18 +7,16 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.figure import Figure
 
-from gbid.report.canvas import BLACK, RED, FloatArray, panels, series, styled
+from gbid.arrays import FloatArray
+from gbid.report.canvas import BLACK, RED, panels, series, styled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
     from gbid.lpv import LPVModel
     from gbid.structure import LinearModel
-
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

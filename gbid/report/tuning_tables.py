@@ -14,6 +14,7 @@ from gbid.control.assess.point_assessment import FIGURES
 from gbid.control.assess.tuned_design import DesignFigures, TunedDesign
 from gbid.control.tune.gain_result import GainResult
 from gbid.experiment.stages import Outcome
+from gbid.operating_point import point_label
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
 
@@ -54,7 +55,7 @@ def tuning_tables(documents: Sequence[Row]) -> Group:
         groups.setdefault((document["plant"], points, impact, document["sample_time_s"]), []).append(document)
     parts: list[Table | Text] = []
     for (plant, points, (peak, duration), sample_time), group in groups.items():
-        where = f"{points[0][0]:g} bar, {points[0][1]:g} rpm" if len(points) == 1 else f"{len(points)} operating points"
+        where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         note = (
             f"disc and stack under a half-sine impact of {peak:g} N, {1e3 * duration:g} ms; "
             f"sampled at {1e3 * sample_time:g} ms with one sample for computation"

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from rich.table import Table
 
+from gbid.operating_point import point_label
 from gbid.report.numbers import engineering
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
@@ -50,7 +51,7 @@ def validation_table(document: Row) -> Table:
     for point in points:
         for j, (output, unit) in enumerate(zip(names, units, strict=True)):
             table.add_row(
-                f"{point['pressure_bar']:g} bar, {point['speed_rpm']:g} rpm" if j == 0 else "",
+                point_label(point["pressure_bar"], point["speed_rpm"]) if j == 0 else "",
                 output,
                 str(point["n_pairs"]),
                 *_percent(point["mean"][j], point["std"][j]),

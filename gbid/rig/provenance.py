@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from gbid.recording import FloatArray, Recording
+from gbid.arrays import FloatArray
+from gbid.recording import Recording
 from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import Machine
 from gbid.rig.machine.scatter import Scatter

@@ -8,8 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.recording import FloatArray, Recording
+from gbid.recording import Recording
 from gbid.rig.excitation.hammer import Hammer
 from gbid.rig.excitation.prbs import Prbs, Stationary, whole_samples
 from gbid.rig.excitation.run_up import RunUp, Turning

@@ -8,14 +8,11 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Matrices(NamedTuple):

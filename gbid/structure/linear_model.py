@@ -9,13 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import brief
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
 from gbid.errors import UsageError
 from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

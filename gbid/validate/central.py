@@ -6,14 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import stdtrit
 
+from gbid.arrays import FloatArray
 from gbid.brief import brief, estimates
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, FitTable, TableEntry, tabulate
-
-FloatArray = npt.NDArray[np.float64]
 
 ACTUATOR = tuple(f"{name}_{axis}" for axis in "xy" for name in ("p1", "p2", "kappa"))
 """Parameters of an actuator model: a slow pole, a fast pole and a gain for each axis (Eq. 12)."""

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import discretise, propagate
 from gbid.errors import DataError
 from gbid.identify import FitResult, select
@@ -15,7 +15,6 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.validate.fit_percent import fit_percent
 
-FloatArray = npt.NDArray[np.float64]
 Ranges = Sequence[tuple[int, int]]
 """Stretches of samples, each from its first to before its second number."""
 Selection = tuple[FloatArray, list[str], list[str]]
@@ -148,7 +147,7 @@ def between_samples(result: FitResult) -> str | list[str]:
     return hold[0] if len(hold) == 1 else hold
 
 
-def counted_samples(recording: Recording, left_out: Ranges) -> npt.NDArray[np.bool_] | None:
+def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
     """Tell which samples count when some stretches are left out; None when all do.
 
     Raises
@@ -169,7 +168,7 @@ def counted_samples(recording: Recording, left_out: Ranges) -> npt.NDArray[np.bo
     return None if counted.all() else counted
 
 
-def _kept(values: FloatArray, counted: npt.NDArray[np.bool_] | None) -> FloatArray:
+def _kept(values: FloatArray, counted: BoolArray | None) -> FloatArray:
     return values if counted is None else values[counted]
 
 
@@ -187,7 +186,7 @@ def estimate_initial_state(
     intersample: str | list[str] = "zoh",
     *,
     offsets: bool = False,
-    counted: npt.NDArray[np.bool_] | None = None,
+    counted: BoolArray | None = None,
 ) -> FloatArray:
     """Find the initial state with which a simulation comes nearest to the measured outputs.
 

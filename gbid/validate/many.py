@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.discretise import discretise
 from gbid.errors import DataError
 from gbid.identify import FitResult
@@ -15,9 +15,6 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.validate.crossval import Ranges, between_samples, counted_samples, has_offsets, selected
 from gbid.validate.scores import ValidationScores, join_scores
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 _WELL_APART = 1e5  # condition of the eigenvectors up to which the modes are run one by one
 _NOTHING = 1e-17  # of a basis vector of length one
@@ -76,10 +73,10 @@ class Simulator:
     """
 
     result: FitResult
-    poles: npt.NDArray[np.complex128] | None
-    drive: npt.NDArray[np.complex128]
-    lead: npt.NDArray[np.complex128]
-    weights: npt.NDArray[np.complex128]
+    poles: ComplexArray | None
+    drive: ComplexArray
+    lead: ComplexArray
+    weights: ComplexArray
     bases: dict[tuple[int, bytes], FloatArray]
 
     @property

@@ -6,17 +6,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import toeplitz
 from scipy.special import chdtrc, ndtri
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.recording import Recording
 from gbid.validate.crossval import Ranges, between_samples, counted_samples, estimate_initial_state, has_offsets
 from gbid.validate.fit_percent import fit_percent
 
-FloatArray = npt.NDArray[np.float64]
 _LEVEL = 0.99
 
 
@@ -57,11 +56,11 @@ class ResidualTest:
     """
 
     recording: str
-    lags: npt.NDArray[np.int64]
+    lags: IntArray
     time: FloatArray
     autocorrelation: FloatArray
     band: float
-    cross_lags: npt.NDArray[np.int64]
+    cross_lags: IntArray
     crosscorrelation: FloatArray
     cross_band: FloatArray
     p_white: FloatArray
@@ -75,7 +74,7 @@ class ResidualTest:
     verdict: tuple[str, ...]
 
     @property
-    def white(self) -> npt.NDArray[np.bool_]:
+    def white(self) -> BoolArray:
         """Whether the residuals of each output count as white, (n_outputs,)."""
         return np.asarray(self.p_white >= (1 - _LEVEL) / len(self.p_white))
 
@@ -174,7 +173,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     )
 
 
-def _longest(counted: npt.NDArray[np.bool_] | None, n: int) -> slice:
+def _longest(counted: BoolArray | None, n: int) -> slice:
     """Find the longest stretch of samples that count."""
     if counted is None:
         return slice(0, n)

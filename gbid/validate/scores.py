@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.brief import brief
 from gbid.errors import DataError, UsageError
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +135,8 @@ class ValidationSummary:
     least: FloatArray
     greatest: FloatArray
     edges: FloatArray
-    counts: npt.NDArray[np.int64]
-    below: npt.NDArray[np.int64]
+    counts: IntArray
+    below: IntArray
     infinity_norm_mean: FloatArray
     infinity_norm_max: FloatArray
     worst: tuple[WorstPair, ...]

@@ -13,6 +13,7 @@ from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
+from gbid.operating_point import point_label
 from gbid.structure.linear import Structure
 
 
@@ -49,7 +50,7 @@ class Assessment:
 
     def __repr__(self) -> str:
         worst = {
-            name: f"{value:.5g} at {point.pressure_bar:g} bar, {point.speed_rpm:g} rpm"
+            name: f"{value:.5g} at {point_label(point.pressure_bar, point.speed_rpm)}"
             for name, (value, point) in self.worst.items()
         }
         about = (

@@ -10,11 +10,11 @@ from typing import Any
 import h5py
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.control.assess.assess import Assessment
 from gbid.control.assess.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tune.gain_result import GainResult, SearchStep, WorstMode
-from gbid.control.tune.search.loop_family import FloatArray
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
 
 KIND = "tuning"

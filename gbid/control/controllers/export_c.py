@@ -5,14 +5,10 @@ from __future__ import annotations
 from math import isfinite
 from pathlib import Path
 
-import numpy as np
-import numpy.typing as npt
-
+from gbid.arrays import FloatArray
 from gbid.atomic import atomic_path
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def export_c(

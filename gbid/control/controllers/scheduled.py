@@ -10,6 +10,7 @@ from gbid.control.controllers.structures import controller_model
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.lpv import TERMS, Domain, basis
+from gbid.operating_point import point_label
 from gbid.structure import LinearModel, LinearStructure, Parameter
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
@@ -138,7 +139,7 @@ class Scheduled:
         """
         self.domain.check(pressure_bar, speed_rpm, self.name)
         return LinearStructure(
-            f"{self.name} at {pressure_bar:g} bar, {speed_rpm:g} rpm",
+            f"{self.name} at {point_label(pressure_bar, speed_rpm)}",
             self.parameters,
             lambda p: self.matrices(p, pressure_bar, speed_rpm),
             self.inputs,

@@ -6,15 +6,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import quiet_basis
 from gbid.control.impact.validation import ImpactValidation
 from gbid.discretise import discretise, propagate
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 
-FloatArray = npt.NDArray[np.float64]
 OVER = 0.95
 """Share of a response's energy after which it counts as over."""
 _QUIET = 50  # samples between responses that the noise needs

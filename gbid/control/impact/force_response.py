@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.measured import Pulse, pulse_forcing
 from gbid.control.loop.close import close_loop
 from gbid.control.loop.force_entry import force_entry
@@ -15,8 +15,6 @@ from gbid.control.loop.sampling import sample_plant
 from gbid.discretise import propagate
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def force_response(

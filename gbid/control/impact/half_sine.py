@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from math import ceil, cos, inf, isfinite, pi, radians, sin
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
+from gbid.arrays import FloatArray
 from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sensitivity import sensitivities
 from gbid.discretise import propagate
@@ -16,7 +16,6 @@ from gbid.errors import UsageError
 from gbid.rig import Machine
 from gbid.structure import LinearModel
 
-FloatArray = npt.NDArray[np.float64]
 STEP_S = 2e-5
 DECAYED = 0.05
 

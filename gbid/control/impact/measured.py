@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from math import atan2, degrees
 
 import numpy as np
-import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import discretise
 from gbid.errors import DataError
 from gbid.recording import Recording
 
-FloatArray = npt.NDArray[np.float64]
 _NOISES = 8.0  # an impact stands so many noise deviations out
 _SHARE = 0.05  # and reaches this share of the largest force
 _BOUNCE_S = 10e-3  # pulses closer than this are one impact: the hammer hit twice
@@ -120,7 +119,7 @@ def find_impacts(force: FloatArray, sample_time: float, name: str = "recording")
         )
     pulses = np.split(above, np.flatnonzero(np.diff(above) > 1) + 1)
     near = round(_BOUNCE_S / sample_time)
-    groups: list[list[npt.NDArray[np.int64]]] = []
+    groups: list[list[IntArray]] = []
     for pulse in pulses:
         if groups and pulse[0] - groups[-1][-1][-1] <= near:
             groups[-1].append(pulse)
@@ -129,9 +128,7 @@ def find_impacts(force: FloatArray, sample_time: float, name: str = "recording")
     return tuple(_impact(force, size, group, noise, name) for group in groups)
 
 
-def _impact(
-    force: FloatArray, size: FloatArray, group: list[npt.NDArray[np.int64]], noise: float, name: str
-) -> MeasuredImpact:
+def _impact(force: FloatArray, size: FloatArray, group: list[IntArray], noise: float, name: str) -> MeasuredImpact:
     """Widen a group of pulses to the samples that are without force."""
     first, last = int(group[0][0]), int(group[-1][-1])
     quiet = 3.0 * noise

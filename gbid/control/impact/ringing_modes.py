@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.loop.close import close_loop
 from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sampling import sample_plant
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 
-FloatArray = npt.NDArray[np.float64]
 Modes = tuple[tuple[float, float], ...]
 
 

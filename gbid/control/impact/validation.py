@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.force_response import force_response
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown.basis import harmonics_for, quiet_basis
@@ -17,7 +17,6 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.validate import fit_percent
 
-FloatArray = npt.NDArray[np.float64]
 _DIED_OUT = 0.01  # the response counts until the simulation is below this share of its largest value
 _BEFORE = 25  # samples before an impact that are shown with it
 

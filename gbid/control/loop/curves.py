@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import sensitivities
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def force_entry(plant: LinearModel) -> FloatArray:

@@ -5,11 +5,9 @@ from __future__ import annotations
 from math import inf
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:

@@ -7,16 +7,14 @@ from math import atan, degrees, inf, nan, pi
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.force_entry import static_force_gain
 from gbid.control.loop.norm import larger_of_two, largest_singular_values, refine_maxima
 from gbid.control.loop.sensitivity import Sensitivities
 from gbid.errors import UsageError
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 Side = Literal["output", "input"]
 
 

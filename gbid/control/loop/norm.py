@@ -7,14 +7,11 @@ from math import inf, pi
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import matrix_balance
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
-
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
 
 
 class Peak(NamedTuple):

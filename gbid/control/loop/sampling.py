@@ -7,14 +7,13 @@ from math import ceil, isfinite
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
+from gbid.arrays import FloatArray
 from gbid.discretise import delayed_taps
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 
-FloatArray = npt.NDArray[np.float64]
 Method = Literal["tustin", "zoh"]
 
 

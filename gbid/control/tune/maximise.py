@@ -9,10 +9,11 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.tune.gain_result import GainResult, SearchStep, Status
 from gbid.control.tune.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
 from gbid.control.tune.search.limits import Limits, Objective
-from gbid.control.tune.search.loop_family import FloatArray, families_of
+from gbid.control.tune.search.loop_family import families_of
 from gbid.control.tune.search.problem import GainProblem
 from gbid.control.tune.search.sqp import LocalOptimum, optimise_locally
 from gbid.control.tune.verify import exact_norms, static_gains, worst_mode

@@ -8,6 +8,7 @@ from typing import Literal
 
 import numpy as np
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
@@ -16,9 +17,8 @@ from gbid.control.tune.maximise import as_bounds, as_start, solve, summarise, ty
 from gbid.control.tune.search.global_search import Effort, Progress
 from gbid.control.tune.search.limits import Limits, Objective
 from gbid.control.tune.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
-from gbid.control.tune.search.loop_family import FloatArray, LoopEquations, LoopFamily, loop_equations
+from gbid.control.tune.search.loop_family import LoopEquations, LoopFamily, loop_equations
 from gbid.control.tune.search.problem import GainProblem
-from gbid.control.tune.search.spectrum import ComplexArray
 from gbid.control.tune.search.sqp import LocalOptimum
 from gbid.control.tune.travel import travel_limit
 from gbid.control.tune.uncertainty import Uncertainty
@@ -26,6 +26,7 @@ from gbid.control.tune.verify import distance_to_edge
 from gbid.control.tune.worst_points import add_worst_points
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
+from gbid.operating_point import point_label
 from gbid.structure.linear import Structure
 
 Point = tuple[float, float]
@@ -165,7 +166,7 @@ def tune(
     if over_domain:
         optimum, problem, more, verified = add_worst_points(problem, optimum, setup, lpv.domain, progress)
         history += more
-    unstable = [f"{P:g} bar, {Omega:g} rpm" for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
+    unstable = [point_label(P, Omega) for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
     notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
     notes += _edge_notes(problem, optimum, names, peak_sensitivity)
     used = problem.families[0].points
@@ -177,7 +178,7 @@ def tune(
         truly, (P, Omega) = smallest_sampled_damping(machine, structure, gains, where, sample_time, computation_s)
         notes += (
             f"designed for sampling at {1e3 * sample_time:g} ms with {1e3 * delay_s:g} ms more delay; the sampled loop "
-            f"itself has a smallest damping factor of {truly:.3f}, at {P:g} bar, {Omega:g} rpm",
+            f"itself has a smallest damping factor of {truly:.3f}, at {point_label(P, Omega)}",
         )
     return summarise(
         problem,
@@ -206,7 +207,7 @@ class _Setup:
         """Loops at points, or some of them."""
         scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
         labels = [
-            f"{P:g} bar, {Omega:g} rpm" + (f", plant {i // len(points)}" if i >= len(points) else "")
+            point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
             for i, (P, Omega) in enumerate(scenarios[:, :2])
         ]
         chosen = range(len(scenarios)) if which is None else which
@@ -224,7 +225,7 @@ class _Setup:
             for gain in self.structure.base.parameters:
                 row = np.array([float(column[gain.name]) for column in columns])
                 width = gain.upper - gain.lower
-                where = f"{gain.name} at {P:g} bar, {Omega:g} rpm"
+                where = f"{gain.name} at {point_label(P, Omega)}"
                 rows.append((f"upper bound of {where}", row / width, gain.upper / width))
                 rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
         return tuple(rows)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gbid.control.tune.search.loop_family import FloatArray
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.lpv import TERMS, basis
 from gbid.structure import KEY_PARAMETERS

@@ -6,10 +6,11 @@ from typing import Protocol
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.control.tune.gain_result import SearchStep
 from gbid.control.tune.maximise import solve
 from gbid.control.tune.search.global_search import Effort, Progress
-from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
+from gbid.control.tune.search.loop_family import LoopFamily
 from gbid.control.tune.search.problem import GainProblem
 from gbid.control.tune.search.sqp import LocalOptimum
 from gbid.lpv import Domain

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.characterise.store import write_csv
 from gbid.control.impact.impact_store import load_impacts, mode_rows, response_rows, save_impacts
 from gbid.control.impact.study import ImpactStudy, study_impacts
@@ -30,7 +31,7 @@ from gbid.experiment.stages.common import Job, Made, Outcome, Task
 from gbid.experiment.stages.performing import run_tasks
 from gbid.experiment.stages.recordings import load_checked
 from gbid.experiment.structures import rig_model
-from gbid.recording import FloatArray, Recording, save_recording
+from gbid.recording import Recording, save_recording
 from gbid.rig import Machine, SampledController, Stationary, record
 
 FOLDER = "impacts"

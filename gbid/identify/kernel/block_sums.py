@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
-import numpy as np
-import numpy.typing as npt
-
+from gbid.arrays import FloatArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class BlockSums(NamedTuple):

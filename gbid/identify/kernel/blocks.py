@@ -7,14 +7,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.data import FitData
 from gbid.identify.predictor import Predictor
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 LONGEST_BLOCK = 512  # samples; a longer shooting window is made of several blocks, see gbid.identify.kernel.sweep
 LANES = 8  # blocks side by side in one vector register of the widest kind
 

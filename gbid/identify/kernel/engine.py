@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
 from gbid.identify.kernel.block_sums import BlockSums, PassEngine, Prediction
@@ -17,7 +18,6 @@ from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.kernel.source import KernelPattern, kernel_source
 from gbid.identify.predictor import PredictorValues
 
-FloatArray = npt.NDArray[np.float64]
 EngineName = Literal["auto", "compiled", "numpy"]
 
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
-FloatArray = npt.NDArray[np.float64]
 _CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
 
 
@@ -91,7 +90,7 @@ def _run(
     z: FloatArray,
     y: FloatArray,
     used: FloatArray,
-    size: npt.NDArray[np.int64],
+    size: IntArray,
     x0: FloatArray,
     root: FloatArray,
     free: FloatArray,

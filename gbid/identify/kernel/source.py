@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-BoolArray = npt.NDArray[np.bool_]
+from gbid.arrays import BoolArray
+
 _BUFFER_BYTES = 96 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 _TILE = 4
 

@@ -18,14 +18,12 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.identify.kernel.block_sums import BlockSums, PassEngine, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.predictor import PredictorValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,14 +10,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import from_starts, powers_of, scan
 from gbid.identify.nlp.shooting import GroupGradient, RecordGroup, Shooting
 from gbid.identify.predictor import PredictorValues
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
@@ -18,10 +18,9 @@ from gbid.identify.kernel.engine import EngineName, choose_engine
 from gbid.identify.nlp.shooting import RecordGroup
 from gbid.identify.nlp.ties import Ties, tie_of
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
+from gbid.operating_point import point_label
 from gbid.structure import Parameter, Structure, evaluate
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; fed back outputs steady a prediction: it may be longer
 _MOST_WINDOWS = {
@@ -185,7 +184,7 @@ def group_name(record: Record, scope: Scope) -> str:
             f"recording {record.name!r} states no pressure_bar and speed_rpm, which parameters local to an "
             "operating point need"
         )
-    return f"{pressure:g} bar, {speed:g} rpm"
+    return point_label(pressure, speed)
 
 
 def _full_names(

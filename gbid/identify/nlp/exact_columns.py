@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.shooting import RecordGroup, Shooting
 from gbid.identify.predictor import PredictorValues
 
-FloatArray = npt.NDArray[np.float64]
 # Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show
 # make much of an error in their columns; and the most of a parameter, where the cost does not depend on it.
 _DIFFERENCE, _MOST = 3e-8, 1e-4

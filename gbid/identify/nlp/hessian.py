@@ -11,13 +11,12 @@ from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.nlp.adjoint import on_ends
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.shooting import Iterate, Shooting
 
-FloatArray = npt.NDArray[np.float64]
 _REFRESH = 2  # iterations for which exact columns serve
 _LEARNING = 6  # iterations, after which all columns are exact
 _MOST_DIFFERENCES = 8  # passes; with more they cost more than they save
@@ -194,7 +193,7 @@ def _left_out(
     unknowns: FloatArray,
     lam_gaps: FloatArray,
     rows: Sequence[Sequence[int]],
-    places: Sequence[npt.NDArray[np.int64]],
+    places: Sequence[IntArray],
     *,
     weight_held: bool = False,
 ) -> list[PartHessian]:

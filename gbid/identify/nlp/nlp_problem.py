@@ -8,15 +8,14 @@ from math import inf
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sweep import forced_states
 from gbid.identify.nlp.assembly import Assembly
 from gbid.identify.nlp.shooting import Criterion, Prior, Shooting, spectral_radius
 
-FloatArray = npt.NDArray[np.float64]
 InitialState = Literal["estimated", "zero"] | Sequence[float]
 
 

@@ -5,15 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import Blocks, cut
 from gbid.identify.kernel.sweep import forced_states, powers_of
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:

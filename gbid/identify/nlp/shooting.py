@@ -14,15 +14,13 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.block_sums import PassEngine
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import Sweep, residuals, sweep, tied
 from gbid.identify.predictor import Predictor, PredictorValues
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
 _EDGE = 0.02  # of the stability margin of the model itself

@@ -11,15 +11,13 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.identify.nlp.casadi_callback import Oracle
 from gbid.identify.nlp.hessian import Curvature, GaussNewton, StructuredSecant
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.shooting import Iterate, Pattern, Shooting
 from gbid.identify.nlp.watch import PAPER_TOLERANCE, PATIENCE, Interrupt, Progress, Stop, Watch
-
-FloatArray = npt.NDArray[np.float64]
 
 UNSTABLE = (
     "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"

@@ -9,11 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import brief, counted
 from gbid.errors import UsageError
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 TextArray = npt.NDArray[np.str_]
 
 _PARAMETER = ("values", "std")
@@ -92,7 +91,7 @@ class FitTable:
     success: BoolArray
     status: TextArray
     notes: tuple[tuple[str, ...], ...]
-    iterations: npt.NDArray[np.int64]
+    iterations: IntArray
     wall_time_s: FloatArray
 
     def __repr__(self) -> str:

@@ -7,9 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.result import FitResult
-from gbid.identify.table.fit_table import FitTable, FloatArray
+from gbid.identify.table.fit_table import FitTable
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.uncertainty.over_records import by_piece, information_over_records
 from gbid.identify.whiteness import correlation_length
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
 FLATTEST = 1e-4
 """Curvature, as a part of Gauss-Newton's, below which a point is no minimum."""
@@ -54,7 +52,7 @@ def covariance(
     record_window: IntArray,
     error_products: FloatArray,
     errors: list[FloatArray],
-    held: npt.NDArray[np.bool_],
+    held: BoolArray,
     *,
     initial_known: bool = False,
     coloured: bool = False,

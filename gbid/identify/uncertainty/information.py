@@ -5,13 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, cut
 from gbid.identify.kernel.sweep import block_sums, joined, link, powers_of, start_hessians
 from gbid.identify.nlp.shooting import Shooting
 
-FloatArray = npt.NDArray[np.float64]
 _BLOCKS, _SHORTEST = 64, 8  # blocks of a record, within which scores are summed; samples in the shortest
 
 
@@ -31,7 +30,7 @@ class RecordInformation(NamedTuple):
 
 
 def record_information(
-    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: npt.NDArray[np.int64], weight: FloatArray
+    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, weight: FloatArray
 ) -> list[RecordInformation]:
     """Run one pass over each record by itself.
 
@@ -71,7 +70,7 @@ def record_information(
     return [found[int(window)] for window in record_window]
 
 
-def profiled(information: RecordInformation, kept: npt.NDArray[np.int64]) -> RecordInformation:
+def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
     """Eliminate all but the kept parameters: what is left to know of them when the rest is estimated along."""
     H, scores = information
     rest = np.setdiff1d(np.arange(len(H)), kept)

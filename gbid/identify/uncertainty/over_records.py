@@ -7,17 +7,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.sweep import block_sums, joined, link, powers_of, start_hessians
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import RecordGroup, Shooting
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 class Fine(NamedTuple):

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.discretise import Dual
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:

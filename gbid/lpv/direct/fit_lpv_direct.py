@@ -13,8 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.discretise import Hold
 from gbid.errors import DataError
 from gbid.identify.data import gather
@@ -32,11 +32,11 @@ from gbid.lpv.surface_fit.lpv_fit import LPVFit, with_coefficients
 from gbid.lpv.surface_fit.order import lack_of_fit
 from gbid.lpv.surface_fit.outliers import outliers, standardised
 from gbid.lpv.surface_fit.terms import distinct_points
+from gbid.operating_point import point_label
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure, as_names
 from gbid.threads import one_blas_thread
 
-FloatArray = npt.NDArray[np.float64]
 _SHORTEST = 20  # samples of a recording
 _ROUNDS = 5
 _SETTLED = 0.2  # of a coefficient's standard deviation
@@ -159,7 +159,7 @@ def _negative_delay(setting: Setting, shared: FloatArray) -> str:
         delay = values[:, setting.names.index(key)]
         if delay.min() < 0:
             pressure, speed = setting.points[int(delay.argmin())]
-            return f"{key} = {1e3 * delay.min():.3g} ms at {pressure:g} bar, {speed:g} rpm"
+            return f"{key} = {1e3 * delay.min():.3g} ms at {point_label(pressure, speed)}"
     return ""
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray
 from gbid.discretise import Hold
 from gbid.identify.fit import fit
 from gbid.identify.kernel.engine import EngineName
@@ -34,7 +34,7 @@ class Gains:
     """
 
     values: list[dict[str, float]]
-    held: npt.NDArray[np.bool_]
+    held: BoolArray
     notes: tuple[str, ...] = ()
 
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.nlp.ties import Ties
 from gbid.identify.predictor import noise_names
@@ -17,8 +17,6 @@ from gbid.lpv.surface_fit.fit_lpv import kron_designs
 from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, orthonormal
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, Parameter, Structure
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.discretise import Hold
 from gbid.identify.data import FitData
 from gbid.identify.kernel.engine import EngineName
@@ -19,8 +19,6 @@ from gbid.identify.predictor import Focus
 from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
 from gbid.lpv.direct.gains import Gains
 from gbid.lpv.direct.setting import Setting
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,13 +17,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.identify.uncertainty.covariance import long_run
 from gbid.identify.uncertainty.information import RecordInformation
 from gbid.lpv.surface_fit.mixed import with_scatter
 
-FloatArray = npt.NDArray[np.float64]
 _WEAK = 1e-9  # scaled eigenvalue of a record's information below which it says nothing in that direction
 
 

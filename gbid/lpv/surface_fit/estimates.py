@@ -6,14 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.result import FitResult
 from gbid.identify.table.fit_table import FitTable
 from gbid.structure import KEY_PARAMETERS
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +127,7 @@ def _covariance_of(fit: FitResult) -> FloatArray:
     return found
 
 
-def _finite(found: Estimates, success: npt.NDArray[np.bool_]) -> Estimates:
+def _finite(found: Estimates, success: BoolArray) -> Estimates:
     """Leave out, by name, what failed or is not finite."""
     keep, left_out = [], list(found.left_out)
     for i, name in enumerate(found.recordings):

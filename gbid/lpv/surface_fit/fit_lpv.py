@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.result import FitResult
 from gbid.identify.table.fit_table import FitTable
@@ -28,7 +28,6 @@ from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, chosen_exponents,
 from gbid.structure import KEY_PARAMETERS
 from gbid.threads import one_blas_thread
 
-FloatArray = npt.NDArray[np.float64]
 Weighting = Literal["scatter", "fits", "ordinary"]
 Order = int | Literal["auto"] | Sequence[str]
 _MISSED = 0.01  # probability below which surfaces count as missing the points' means, shared by the parameters

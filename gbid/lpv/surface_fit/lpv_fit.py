@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, regressors
@@ -19,7 +20,6 @@ from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.structure import KEY_PARAMETERS
 
-FloatArray = npt.NDArray[np.float64]
 _TRIES = 20  # draws for each one wanted, before most of them count as useless
 
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import h5py
 import numpy as np
-import numpy.typing as npt
 
 from gbid import hdf5
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.lpv.basis import TERMS
 from gbid.lpv.load import load_model, save_model
@@ -133,7 +133,7 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
     return fit
 
 
-def _matrices(file: h5py.File) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _matrices(file: h5py.File) -> tuple[FloatArray, FloatArray]:
     return hdf5.read_dataset(file, "covariance"), hdf5.read_dataset(file, "scatter")
 
 

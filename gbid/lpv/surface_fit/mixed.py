@@ -13,9 +13,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from gbid.arrays import BoolArray, FloatArray
+
 _TOLERANCE = 1e-4  # change of S in one step, relative to the residuals' variance
 _LEAST = 1e-3  # the smallest eigenvalue of S to start from, in the same units
 _MOST = 500  # steps
@@ -116,7 +116,7 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
 
 
 def _by_point(
-    y: FloatArray, distinct: FloatArray, alike: npt.NDArray[np.bool_], inverse: FloatArray
+    y: FloatArray, distinct: FloatArray, alike: BoolArray, inverse: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Generalised least squares from sums over operating points: coefficients (m,) and their covariance."""
     weights = np.einsum("ip,ikl->pkl", alike, inverse, optimize=True)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import fdtrc
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import ndtr, ndtri
 
+from gbid.arrays import FloatArray
 from gbid.lpv.surface_fit.mixed import generalised, with_scatter
 from gbid.structure import KEY_PARAMETERS
 
-FloatArray = npt.NDArray[np.float64]
 _MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 _LEAST = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
 _FALSE_ALARM = 0.05  # probability that any of all entries is named when all is normal

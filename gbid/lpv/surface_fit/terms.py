@@ -6,12 +6,11 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.lpv.basis import EXPONENTS, TERMS
 
-FloatArray = npt.NDArray[np.float64]
 Exponents = tuple[tuple[int, int], ...]
 HIGHEST_ORDER = 3  # compared, though the model itself holds the six terms of Eq. 16 only
 _DARK = 1e-9  # singular value, of the largest, below which terms cannot be told apart

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording.recording import FloatArray
 
 _INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
 

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.recording.importers.columns import Column
 from gbid.recording.importers.mapping import nearest
-from gbid.recording.recording import FloatArray
 
 _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
 

@@ -10,13 +10,14 @@ from typing import Any
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.recording.importers.columns import Column
 from gbid.recording.importers.csv_file import read_csv
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
 from gbid.recording.importers.mat_file import read_mat
 from gbid.recording.importers.npz_file import read_npz
-from gbid.recording.recording import FloatArray, Recording
+from gbid.recording.recording import Recording
 from gbid.units import SIGNALS, conversion_factor
 
 Reader = Callable[[Path, Sequence[str]], dict[str, Column]]

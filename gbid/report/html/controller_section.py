@@ -20,7 +20,7 @@ from gbid.control import (
 from gbid.control.loop.curves import sensitivity_data
 from gbid.errors import GbidError
 from gbid.lpv import LPVModel
-from gbid.report.canvas import at_point
+from gbid.operating_point import point_label
 from gbid.report.eigenvalues import plot_root_locus, root_locus_data
 from gbid.report.frequency import plot_magnitudes, sensitivity_curves
 from gbid.report.html.explorer import explorer_part
@@ -169,7 +169,7 @@ def _modes(gathered: Gathered, design: Design, model: LPVModel) -> list[Block]:
         for k, (frequency, damping) in enumerate(known.modes):
             rows.append(
                 (
-                    f"{at_point(*point)}, {known.loop} loop, mode {k + 1}",
+                    f"{point_label(*point)}, {known.loop} loop, mode {k + 1}",
                     f"{found[k][0]:.1f}" if k < len(found) else "–",
                     f"{frequency:.1f}",
                     f"{found[k][1]:.3f}" if k < len(found) else "–",
@@ -186,7 +186,7 @@ def _modes(gathered: Gathered, design: Design, model: LPVModel) -> list[Block]:
 def _pictured(pictures: Pictures, design: Design, model: LPVModel) -> list[Block]:
     worst = min(design.assessment.points, key=lambda q: q.damping)
     point = (worst.pressure_bar, worst.speed_rpm)
-    place, plant, controller = at_point(*point), model.plant_at(*point), design.at(point)
+    place, plant, controller = point_label(*point), model.plant_at(*point), design.at(point)
     title = f"{design.name}, {place}"
     locus = root_locus_data(
         plant, lambda f: replace(controller, C=f * controller.C, D=f * controller.D), _FACTORS, title=title
@@ -254,7 +254,7 @@ def _impact(
 def _by_point(design: Design) -> Block:
     rows = [
         (
-            at_point(q.pressure_bar, q.speed_rpm),
+            point_label(q.pressure_bar, q.speed_rpm),
             f"{q.damping:.3f}",
             f"{q.peak_output.value:.3f}",
             f"{q.peak_control.value:.3f}",

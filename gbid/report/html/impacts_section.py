@@ -10,7 +10,7 @@ from gbid.control.impact.study import ImpactStudy
 from gbid.errors import UsageError
 from gbid.experiment.stages import standing
 from gbid.experiment.stages.impacting import loops_without_controller, study_tasks
-from gbid.report.canvas import at_point
+from gbid.operating_point import point_label
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
@@ -34,7 +34,7 @@ def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
     impacts: list[list[str]] = []
     for name, study in studies.items():
         document = impact_document(name, study, gathered.experiment.results, published)
-        where = f"{at_point(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
+        where = f"{point_label(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
         paper = document["published"].get("measured")
         modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
         for row in document["responses"]:
@@ -68,7 +68,7 @@ def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller
     for study in studies.values():
         closed = "published gains" if controller == "paper" else "closed loop"
         label = {"open": "open loop", "closed": closed}.get(study.loop, study.loop)
-        where = at_point(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+        where = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
         points.setdefault(where, {})[label] = study
     blocks: list[Block] = []
     for where, loops in points.items():

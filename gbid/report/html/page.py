@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
 from gbid.experiment.load import Experiment
-from gbid.report.canvas import at_point
+from gbid.operating_point import point_label
 from gbid.report.html.pictures import Picture
 
 
@@ -101,7 +101,7 @@ def point_words(experiment: Experiment, recording: str) -> str:
     planned = experiment.recordings[recording]
     known = planned.conditions
     if "pressure_bar" in known and "speed_rpm" in known:
-        return at_point(known["pressure_bar"], known["speed_rpm"])
+        return point_label(known["pressure_bar"], known["speed_rpm"])
     return ", ".join(f"{key} {value:g}" for key, value in known.items()) or "not stated"
 
 

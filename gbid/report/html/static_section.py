@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.errors import DataError, UsageError
-from gbid.report.canvas import at_point
+from gbid.operating_point import point_label
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
@@ -37,7 +37,7 @@ def static_section(gathered: Gathered, pictures: Pictures) -> Section | None:
 def _map(results: Results, pictures: Pictures) -> list[Block]:
     found: StaticMap = results.static_map
     known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
-    place = at_point(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
+    place = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
     rows = [
         (
             f"{row['input']} to {row['output']}",

@@ -6,11 +6,9 @@ from base64 import b64encode
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.validate import Validation
-
-FloatArray = npt.NDArray[np.float64]
 
 SAMPLES = 1200
 """Samples of the part that is shown."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gbid.experiment.stages import CrossvalRow
+from gbid.operating_point import point_label
 from gbid.report.across import ActuatorParameters, histogram_data, plot_actuator_parameters, plot_fit_histogram
-from gbid.report.canvas import at_point
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Section, Shown, Table, Words, fit_href, in_units
 from gbid.report.html.pictures import Pictures
@@ -110,7 +110,9 @@ def _validated(
             ("operating point", "pairs", *(f"{output} [%]" for output in summary.output_names)),
             [
                 (
-                    at_point(point.pressure_bar, point.speed_rpm) if point.pressure_bar == point.pressure_bar else "–",
+                    point_label(point.pressure_bar, point.speed_rpm)
+                    if point.pressure_bar == point.pressure_bar
+                    else "–",
                     str(point.n_pairs),
                     *(f"{mean:.2f}" for mean in point.mean),
                 )

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from gbid.control import sensitivity_data
 from gbid.experiment.pairs import recordings_of
 from gbid.experiment.stages import validate_pair
+from gbid.operating_point import point_label
 from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
-from gbid.report.canvas import at_point
 from gbid.report.designs import designs_pareto_data
 from gbid.report.diagrams import (
     plot_closed_loop,
@@ -48,7 +48,7 @@ _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 def _static_map(results: Results) -> Figure:
     found = results.static_map
     known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
-    title = at_point(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
+    title = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
     return plot_static_map(static_map_data(found), title=title)
 
 
@@ -83,7 +83,7 @@ def _loop(what: Literal["sensitivity", "bode"], results: Results) -> Figure:
     plant = results.identified.plant_at(*results.point)
     d = results.design
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
-    data, title = sensitivity_data(plant, results.controller), f"{at_point(*results.point)}; {gains}"
+    data, title = sensitivity_data(plant, results.controller), f"{point_label(*results.point)}; {gains}"
     return plot_magnitudes((sensitivity_curves if what == "sensitivity" else bode_curves)(data, title))
 
 

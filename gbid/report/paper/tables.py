@@ -13,7 +13,7 @@ import numpy as np
 from gbid.control.impact.impact_store import response_rows
 from gbid.errors import DataError
 from gbid.lpv import TERMS
-from gbid.report.canvas import at_point
+from gbid.operating_point import point_label
 from gbid.report.designs import design_performances, design_rows
 from gbid.report.numbers import engineering
 from gbid.report.paper.results import Results
@@ -129,7 +129,7 @@ def impacts_table(results: Results) -> PaperTable:
     rows: list[tuple[Cell, ...]] = []
     for loops in results.loops:
         for label, study in loops.items():
-            where = at_point(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
+            where = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
             for row in response_rows(study):
                 numbers = (
                     factor * row[f"{name}{suffix} [{unit}]"]
@@ -159,7 +159,7 @@ def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
             word = "expected from model" if kind == "expected" else "obtained experimentally"
             rows.append((f"published: {word}", *(known[loop][i][j] for i, loop in columns)))  # type: ignore[index]
     heads = ("", *(f"{sign}_{i + 1} {loop}" for i, loop in columns))
-    return PaperTable(f"{title}, {place[0]:g} bar, {place[1]:g} rpm", heads, tuple(rows))
+    return PaperTable(f"{title}, {point_label(*place)}", heads, tuple(rows))
 
 
 def _std(ring: Any, i: int, j: int) -> float:

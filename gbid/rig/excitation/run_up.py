@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbid.recording import FloatArray
+from gbid.arrays import FloatArray
 from gbid.rig.machine.effects import need_finite
 
 RPM = np.pi / 30

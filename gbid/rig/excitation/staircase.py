@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 from gbid.rig.excitation.prbs import whole_samples
 from gbid.rig.machine.effects import need_finite
 

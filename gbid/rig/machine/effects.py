@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 
 
 def need_finite(owner: str, part: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()) -> None:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 from gbid.rig.machine.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
 from gbid.rig.machine.piezo import PiezoStacks
 from gbid.rig.machine.sensors import SensorChain

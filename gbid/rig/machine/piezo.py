@@ -8,8 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.optimize import brentq
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 
 N_PLAYS = 10
 """Play operators of one stack; the branches of the loop are broken lines with that many corners."""

@@ -6,8 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 
 TURN = 2 * np.pi
 

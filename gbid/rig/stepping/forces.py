@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbid.recording import FloatArray
+from gbid.arrays import FloatArray
 from gbid.rig.excitation.hammer import Hammer
 from gbid.rig.excitation.run_up import Turning
 from gbid.rig.machine.machine import Machine

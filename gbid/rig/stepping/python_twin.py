@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gbid.recording import FloatArray
+from gbid.arrays import FloatArray
 from gbid.rig.stepping.step_arrays import (
     DELAY,
     ROW,

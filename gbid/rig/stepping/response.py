@@ -19,8 +19,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import expm
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 from gbid.rig.machine.machine import ActuatorTruth, RotorBearingTruth, Unbalance
 from gbid.threads import one_blas_thread
 

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
+from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import ActuatorTruth, Machine
 from gbid.rig.machine.piezo import ALLOCATION, N_PLAYS, PiezoStack, PiezoStacks, StackRest, pair_difference

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
-from gbid.recording import FloatArray
 from gbid.rig.excitation.staircase import StackStaircase
 from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import Machine

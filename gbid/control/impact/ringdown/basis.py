@@ -6,16 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import expm
 
+from gbid.arrays import BoolArray, FloatArray
 from gbid.control.impact.measured import MeasuredImpact, Pulse, pulse_forcing
 from gbid.discretise import propagate
 from gbid.errors import DataError
 from gbid.prefilter.shaft import shaft_motion
 from gbid.recording import Recording
 
-FloatArray = npt.NDArray[np.float64]
 N_MECHANICAL = 8
 """Parameters of K and D."""
 _SHORTEST = 20  # samples of a ring-down
@@ -88,7 +87,7 @@ class RingData:
 
     name: str
     position: FloatArray
-    used: npt.NDArray[np.bool_]
+    used: BoolArray
     pulses: tuple[Pulse, ...]
     segments: tuple[tuple[int, int], ...]
     quiet: FloatArray

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from gbid.arrays import BoolArray, FloatArray
+
 MEMORY_S = 20e-3
 """How long residuals are taken to remember [s]: two periods of the slowest mode that matters."""
 
 
-def autocovariance(residuals: Sequence[FloatArray], used: Sequence[npt.NDArray[np.bool_]], n_lags: int) -> FloatArray:
+def autocovariance(residuals: Sequence[FloatArray], used: Sequence[BoolArray], n_lags: int) -> FloatArray:
     """Covariance of residuals a number of samples apart, pooled over recordings.
 
     Parameters

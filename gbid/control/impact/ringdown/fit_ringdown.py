@@ -17,8 +17,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown.basis import RingData, Scale, harmonics_for, ring_data
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
@@ -28,8 +28,6 @@ from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import start_candidates
 from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def fit_ringdown(

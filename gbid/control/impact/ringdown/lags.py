@@ -6,14 +6,13 @@ import contextlib
 from collections.abc import Callable, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import N_MECHANICAL
 from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import DataError
 
-FloatArray = npt.NDArray[np.float64]
 LAGS = 3
 """How many lags ``"auto"`` takes where the data ask for any."""
 _SLOWEST, _FASTEST = 1.0, 3.0  # rates of the lags over the angular frequency of the modes

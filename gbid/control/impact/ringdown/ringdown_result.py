@@ -5,14 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import norm
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import Scale
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import UsageError
 
-FloatArray = npt.NDArray[np.float64]
 NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
 """Status of a fit to a response that is damped so much that it does not oscillate."""
 

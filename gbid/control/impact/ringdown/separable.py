@@ -10,13 +10,12 @@ from math import ceil, log
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
 
+from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import N_MECHANICAL, RingData, Scale, lagging_force
 
-FloatArray = npt.NDArray[np.float64]
 _DIED_OUT = 6 * log(10)
 _SHORTEST = 50
 

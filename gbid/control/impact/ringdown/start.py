@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import logm
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.impact.ringdown.basis import RingData
 
-FloatArray = npt.NDArray[np.float64]
 _BAND_HZ = 1000.0  # samples closer than this asks for say little about modes of some 100 Hz
 _ROWS = 12
 
@@ -78,6 +77,6 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
     return (rate, theta) if np.isfinite(theta).all() else None
 
 
-def eigenvalues_of(mechanical: FloatArray) -> npt.NDArray[np.complex128]:
+def eigenvalues_of(mechanical: FloatArray) -> ComplexArray:
     """Eigenvalues of [0 I; K D], given [K D]."""
     return np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), mechanical])).astype(complex)

@@ -10,9 +10,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from gbid.arrays import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from gbid.arrays import FloatArray
 from gbid.control.tune.gain_result import SearchStep
-from gbid.control.tune.search.loop_family import FloatArray
 from gbid.control.tune.search.problem import GainProblem, Score
 from gbid.control.tune.search.sqp import LocalOptimum, merit, optimise_locally
 

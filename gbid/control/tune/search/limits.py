@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from gbid.control.tune.search.loop_family import FloatArray, LoopFamily
+from gbid.arrays import FloatArray
+from gbid.control.tune.search.loop_family import LoopFamily
 from gbid.errors import UsageError
 
 Objective = Literal["damping", "decay"]

@@ -10,16 +10,16 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import FloatArray
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.tune.search.direct_call import DirectCall
 from gbid.control.tune.search.loop_delay import delayed_outputs
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
+from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS, Parameter, PiezoPair, Plant, RotorBearing
 from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class LoopEquations:
         m, g = len(S), ca.MX.sym("gains", len(self.gains))
         args = [ca.repmat(g, 1, m), ca.DM(S.T)]
         if labels is None:
-            labels = [f"{P:g} bar, {Omega:g} rpm" for P, Omega in S[:, :2]]
+            labels = [point_label(P, Omega) for P, Omega in S[:, :2]]
         mapped: list[Any] = [f.map(m)(*args) for f in (self.function, self.jacobian)]
         values, slopes = (ca.Function("loops", [g], list(outputs)) for outputs in mapped)
         return LoopFamily(values, slopes, tuple(labels), np.ascontiguousarray(S[:, :2]), 2)

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tune.search.loop_family import Derivatives, FloatArray, Loops
-from gbid.control.tune.search.spectrum import ComplexArray, Eigensystem, bilinear
+from gbid.control.tune.search.loop_family import Derivatives, Loops
+from gbid.control.tune.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])

@@ -12,21 +12,13 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
+from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tune.search.limits import ExtraLimit, Limits
-from gbid.control.tune.search.loop_family import Derivatives, FloatArray, LoopFamily, Loops
+from gbid.control.tune.search.loop_family import Derivatives, LoopFamily, Loops
 from gbid.control.tune.search.peaks import Peaks, find_peaks, peak_slopes, respond
-from gbid.control.tune.search.spectrum import (
-    REAL,
-    ComplexArray,
-    Eigensystem,
-    Pair,
-    damping_factors,
-    damping_slopes,
-    pair_of,
-)
+from gbid.control.tune.search.spectrum import REAL, Eigensystem, Pair, damping_factors, damping_slopes, pair_of
 
-BoolArray = npt.NDArray[np.bool_]
 _RESPONSES = ("sensitivity", "control", "static")
 _WINDOW = 0.3
 """Functions further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-ComplexArray = npt.NDArray[np.complex128]
+from gbid.arrays import ComplexArray, FloatArray
 
 REAL = 1e-9
 """An eigenvalue with a smaller imaginary part, relative to its magnitude, counts as real."""

@@ -10,7 +10,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gbid.control.tune.search.loop_family import FloatArray
+from gbid.arrays import FloatArray
 from gbid.control.tune.search.problem import ActiveFunction, ActiveFunctions, GainProblem, Score
 
 
