@@ -27,8 +27,8 @@ if TYPE_CHECKING:
         sensitivities,
         validate_impact,
     )
-    from gbid.control.assess.assess import assess
-    from gbid.control.tune.tune import tune
+    from gbid.control.assessment.assess import assess
+    from gbid.control.tuning.tune import tune
     from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
     from gbid.identify.fit import fit
     from gbid.interchange import save_csv, save_mat

@@ -13,7 +13,7 @@ from gbid.cli.tally import Tally
 from gbid.experiment.stages.common import Outcome, Reporter
 
 if TYPE_CHECKING:
-    from gbid.control.tune.gain_result import SearchStep
+    from gbid.control.tuning.gain_result import SearchStep
     from gbid.identify import Progress
 
 EVERY = 10

@@ -1,8 +1,8 @@
 """Controllers, closed loops, damping, and the performance of designs."""
 
-from gbid.control.assess.assess import Assessment, assess
-from gbid.control.assess.compare import Comparison, compare_designs
-from gbid.control.assess.point_assessment import PointAssessment
+from gbid.control.assessment.assess import Assessment, assess
+from gbid.control.assessment.compare import Comparison, compare_designs
+from gbid.control.assessment.point_assessment import PointAssessment
 from gbid.control.controllers.controller_file import load_controller, save_controller
 from gbid.control.controllers.design import ControllerDesign
 from gbid.control.controllers.export_c import export_c
@@ -37,11 +37,11 @@ from gbid.control.loop.norm import Peak, peak_gain
 from gbid.control.loop.sampled import SampledLoop, exact_plant, sampled_loop
 from gbid.control.loop.sampling import sample_controller, sample_plant
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
-from gbid.control.tune.gain_result import GainResult, SearchStep, WorstMode
-from gbid.control.tune.maximise import maximise_damping
-from gbid.control.tune.pareto import ParetoFront, pareto
-from gbid.control.tune.tune import tune
-from gbid.control.tune.uncertainty import Uncertainty
+from gbid.control.tuning.gain_result import GainResult, SearchStep, WorstMode
+from gbid.control.tuning.maximise import maximise_damping
+from gbid.control.tuning.pareto import ParetoFront, pareto
+from gbid.control.tuning.tune import tune
+from gbid.control.tuning.uncertainty import Uncertainty
 
 __all__ = [
     "Assessment",

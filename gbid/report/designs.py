@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from gbid.control.assess.compare import COLUMNS
-from gbid.control.assess.tuned_design import DesignFigures, TunedDesign
-from gbid.control.tune.gain_result import GainResult
+from gbid.control.assessment.compare import COLUMNS
+from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
+from gbid.control.tuning.gain_result import GainResult
 from gbid.errors import DataError
 from gbid.report.tuning import ParetoFront, pareto_data
 

@@ -9,10 +9,10 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gbid.control.assess.compare import COLUMNS
-from gbid.control.assess.point_assessment import FIGURES
-from gbid.control.assess.tuned_design import DesignFigures, TunedDesign
-from gbid.control.tune.gain_result import GainResult
+from gbid.control.assessment.compare import COLUMNS
+from gbid.control.assessment.point_assessment import FIGURES
+from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
+from gbid.control.tuning.gain_result import GainResult
 from gbid.experiment.stages import Outcome
 from gbid.operating_point import point_label
 from gbid.report.rows import Row

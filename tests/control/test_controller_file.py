@@ -12,8 +12,7 @@ import pytest
 from test_controller_structures import own
 
 import gbid
-from gbid.control import BiquadStructure, PStructure, controller_model, sample_controller
-from gbid.control.controllers import export_c, scheduled
+from gbid.control import BiquadStructure, PStructure, controller_model, export_c, sample_controller, scheduled
 from gbid.errors import UsageError
 
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}

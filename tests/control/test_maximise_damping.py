@@ -8,12 +8,12 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from gbid.control.tune.search.limits import Limits
-from gbid.control.tune.search.loop_family import families_of, loop_equations
-from gbid.control.tune.search.peaks import find_peaks, peak_slopes
-from gbid.control.tune.search.problem import Problem
-from gbid.control.tune.search.spectrum import Eigensystem, pair_of
-from gbid.control.tune.search.sqp import merit, optimise_locally
+from gbid.control.tuning.search.limits import Limits
+from gbid.control.tuning.search.loop_family import families_of, loop_equations
+from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.spectrum import Eigensystem, pair_of
+from gbid.control.tuning.search.sqp import merit, optimise_locally
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -155,34 +155,34 @@ def test_progress_and_history_agree() -> None:
     assert result.history[-1].value == pytest.approx(result.value)
 
 
-def paper_problem(controller: str, **limits: float) -> tuple[Problem, np.ndarray]:
+def paper_problem(controller: str, **limits: float) -> tuple[GainProblem, np.ndarray]:
     model = gbid.load_model("theisen2016")
     structure = gbid.controller_structure(controller)
     family = loop_equations(model, structure).family(np.array([(6.0, 0.0), (3.0, 6000.0)]))
     low, high = (np.array([getattr(p, side) for p in structure.parameters]) for side in ("lower", "upper"))
     x = np.array([0.9, 0.7, 0.3, -0.2, -0.6, -0.9, 0.3, 0.35, 0.6, 0.9])[: len(low)]
-    return Problem((family,), Limits(peak_sensitivity=2.0, peak_control=1.8, **limits), low, high, 800.0), x
+    return GainProblem((family,), Limits(peak_sensitivity=2.0, peak_control=1.8, **limits), low, high, 800.0), x
 
 
 @pytest.mark.parametrize("controller", ["P", "biquad"])
 def test_slopes_of_all_pieces_against_differences(controller: str) -> None:
     problem, x = paper_problem(controller, static_amplification=1.5, slowest_pole=100.0)
-    pieces = problem.pieces(x)
-    assert {piece.kind for piece in pieces.limits} >= {"sensitivity", "control", "static"}
+    functions = problem.functions(x)
+    assert {function.kind for function in functions.limits} >= {"sensitivity", "control", "static"}
     step = 1e-6
     for i in range(len(x)):
-        sides = [problem.pieces(x + sign * step * np.eye(len(x))[i]) for sign in (1, -1)]
+        sides = [problem.functions(x + sign * step * np.eye(len(x))[i]) for sign in (1, -1)]
         for group in ("aim", "limits"):
-            for piece in getattr(pieces, group):
+            for function in getattr(functions, group):
                 alike = [
                     min(
-                        (p for p in getattr(side, group) if (p.kind, p.loop) == (piece.kind, piece.loop)),
-                        key=lambda p, place=piece.place: abs(p.place - place),
+                        (p for p in getattr(side, group) if (p.kind, p.loop) == (function.kind, function.loop)),
+                        key=lambda p, place=function.place: abs(p.place - place),
                     )
                     for side in sides
                 ]
                 difference = (alike[0].value - alike[1].value) / (2 * step)
-                assert piece.slope[i] == pytest.approx(difference, rel=2e-4, abs=2e-5)
+                assert function.slope[i] == pytest.approx(difference, rel=2e-4, abs=2e-5)
 
 
 def test_meeting_eigenvalues_have_smooth_mean_and_gap() -> None:

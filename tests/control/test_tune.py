@@ -13,8 +13,8 @@ import gbid
 from benchmarks import tune_speed
 from benchmarks.tune_brute import FINE, Loops, brute_force, survivors
 from gbid.control import HalfSine, controller_at, impact_response, p_controller, scheduled
-from gbid.control.tune.search.loop_family import loop_equations
-from gbid.control.tune.travel import travel_limit
+from gbid.control.tuning.search.loop_family import loop_equations
+from gbid.control.tuning.travel import travel_limit
 from gbid.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
@@ -243,7 +243,7 @@ def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(
     monkeypatch: pytest.MonkeyPatch, cap: float | None
 ) -> None:
     whole = gbid.tune(MODEL, peak_sensitivity=cap)
-    monkeypatch.setattr("gbid.control.tune.tune._MANY", 5)
+    monkeypatch.setattr("gbid.control.tuning.tune._MANY", 5)
     added = gbid.tune(MODEL, peak_sensitivity=cap)
     assert added.value == pytest.approx(whole.value, abs=1e-7)
     assert added.verified_on == whole.verified_on

@@ -8,7 +8,7 @@ import pytest
 
 import gbid
 from gbid.control import controller_model, exact_plant, p_controller, sampled_loop, smallest_damping
-from gbid.control.tune.search.loop_delay import delayed_outputs, loop_delay
+from gbid.control.tuning.search.loop_delay import delayed_outputs, loop_delay
 from gbid.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")

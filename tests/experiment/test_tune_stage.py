@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 import gbid
 from gbid.cli.main import app
 from gbid.control import HalfSine, compare_designs
-from gbid.control.assess.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import DataError
 from gbid.experiment.design_plan import design_structure
 from gbid.experiment.impact_plan import controller_at
@@ -81,7 +81,7 @@ def test_table_is_that_of_compare_designs(tuned):
     assert "kept" in result.stderr
     structure = gbid.controller_structure("P")
     assessed = [
-        gbid.control.assess.assess(MODEL, structure, performance["gains"], [(6, 0)], name=performance["name"])
+        gbid.assess(MODEL, structure, performance["gains"], [(6, 0)], name=performance["name"])
         for performance in document["performance"]
     ]
     compared = compare_designs(assessed)
@@ -219,7 +219,7 @@ def test_round_trip_of_a_design(tmp_path, tuned):
 
 def test_worst_figures_are_those_of_the_assessment():
     gains = {"kappa_x": 1.125, "kappa_y": 0.99}
-    assessed = gbid.control.assess.assess(MODEL, "P", gains, [(3, 0), (6, 0), (7, 6000)])
+    assessed = gbid.assess(MODEL, "P", gains, [(3, 0), (6, 0), (7, 6000)])
     numbers = DesignFigures.of(assessed)
     for name, (value, point) in numbers.worst.items():
         expected, where = assessed.worst[name]

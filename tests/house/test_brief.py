@@ -9,8 +9,8 @@ from experiment_files import gbid as run_gbid
 
 import gbid
 from gbid.brief import WIDTH, brief, counted, in_words
-from gbid.control.assess.assess import assess
-from gbid.control.tune.gain_result import GainResult, WorstMode
+from gbid.control.assessment.assess import assess
+from gbid.control.tuning.gain_result import GainResult, WorstMode
 from gbid.validate.scores import summarise
 
 LINES = 20

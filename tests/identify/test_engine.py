@@ -30,7 +30,7 @@ from places import SUPPORT
 from gbid import compiling
 from gbid.errors import UsageError
 from gbid.identify import fit
-from gbid.identify.kernel.blocks import Piece, cut
+from gbid.identify.kernel.blocks import Segment, cut
 from gbid.identify.kernel.engine import CompiledEngine, choose_engine, pattern_of
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.kernel.source import kernel_source
@@ -90,7 +90,7 @@ def pieces_of(case, lengths, left_out=None):
         if left_out:
             counts = np.ones(n)
             counts[slice(*left_out)] = 0.0
-        pieces.append(Piece(u, y, counts))
+        pieces.append(Segment(u, y, counts))
     return pieces
 
 
@@ -203,7 +203,7 @@ def test_left_out_samples_do_not_count():
     before = sweep(v, blocks, starts, weight)
     assert blocks.n_samples == 130 - 21
     wild = np.where(blocks.used[:, :, None] > 0, blocks.y, 1e9)
-    # Their outputs do not matter for the cost; in prediction focus they would through the feedback, see `Piece`.
+    # Their outputs do not matter for the cost; in prediction focus they would through the feedback, see `Segment`.
     after = sweep(v, replace(blocks, y=wild), starts, weight)
     assert_same_sums(after, before, 1e-15)
 

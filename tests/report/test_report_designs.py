@@ -13,7 +13,7 @@ from experiment_files import gbid as command
 
 import gbid
 from gbid import report
-from gbid.control.assess.tuned_design import load_tuned
+from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.stages import Job

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, Protocol
 
-from gbid.control.tune.gain_result import SearchStep
+from gbid.control.tuning.gain_result import SearchStep
 from gbid.experiment.load import Experiment
 from gbid.identify import Progress
 

@@ -18,7 +18,7 @@ from gbid.control import (
     save_controller,
     tune,
 )
-from gbid.control.assess.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import GbidError
 from gbid.experiment.design_plan import (
     controller_section,

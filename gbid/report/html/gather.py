@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gbid.control import ControllerDesign, load_controller
-from gbid.control.assess.tuned_design import TunedDesign
+from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.pairs import recordings_of
 from gbid.experiment.stages import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from gbid.control.assess.tuned_design import TunedDesign
+from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import GbidError
 from gbid.report.designs import designs_pareto_data
 from gbid.report.html.gather import Gathered

@@ -7,7 +7,7 @@ from typing import TypeVar
 
 from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.control import GainResult, p_controller, sensitivities, tune
-from gbid.control.assess.tuned_design import TunedDesign
+from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.control.impact.impact_store import load_impacts
 from gbid.control.impact.study import ImpactStudy
 from gbid.errors import DataError, GbidError, UsageError

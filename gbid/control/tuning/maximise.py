@@ -10,13 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.control.tune.gain_result import GainResult, SearchStep, Status
-from gbid.control.tune.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
-from gbid.control.tune.search.limits import Limits, Objective
-from gbid.control.tune.search.loop_family import families_of
-from gbid.control.tune.search.problem import GainProblem
-from gbid.control.tune.search.sqp import LocalOptimum, optimise_locally
-from gbid.control.tune.verify import exact_norms, static_gains, worst_mode
+from gbid.control.tuning.gain_result import GainResult, SearchStep, Status
+from gbid.control.tuning.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
+from gbid.control.tuning.search.limits import Limits, Objective
+from gbid.control.tuning.search.loop_family import families_of
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
 
 
@@ -74,7 +74,7 @@ def maximise_damping(
     Notes
     -----
     A global stage finds basins; each is climbed by steps that take in all eigenvalues near the worst (see
-    `gbid.control.tune.search.sqp`), and pairs of them that meet by their mean and squared distance: unlike the
+    `gbid.control.tuning.search.sqp`), and pairs of them that meet by their mean and squared distance: unlike the
     eigenvalues themselves, these have derivatives there.
 
     Examples

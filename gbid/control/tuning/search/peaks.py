@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tune.search.loop_family import Derivatives, Loops
-from gbid.control.tune.search.spectrum import Eigensystem, bilinear
+from gbid.control.tuning.search.loop_family import Derivatives, Loops
+from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])

@@ -11,10 +11,10 @@ import h5py
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.assess.assess import Assessment
-from gbid.control.assess.point_assessment import FIGURES, LOWEST_IS_WORST
+from gbid.control.assessment.assess import Assessment
+from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tune.gain_result import GainResult, SearchStep, WorstMode
+from gbid.control.tuning.gain_result import GainResult, SearchStep, WorstMode
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
 
 KIND = "tuning"
@@ -35,7 +35,7 @@ class DesignFigures:
     points : (m, 2) array
         Pressure [bar], speed [rpm].
     figures : (m, 12) array
-        In the order of `gbid.control.assess.point_assessment.FIGURES`; its units.
+        In the order of `gbid.control.assessment.point_assessment.FIGURES`; its units.
     """
 
     name: str

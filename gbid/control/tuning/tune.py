@@ -12,18 +12,18 @@ from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tune.gain_result import GainResult, SearchStep
-from gbid.control.tune.maximise import as_bounds, as_start, solve, summarise, typical_rate
-from gbid.control.tune.search.global_search import Effort, Progress
-from gbid.control.tune.search.limits import Limits, Objective
-from gbid.control.tune.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
-from gbid.control.tune.search.loop_family import LoopEquations, LoopFamily, loop_equations
-from gbid.control.tune.search.problem import GainProblem
-from gbid.control.tune.search.sqp import LocalOptimum
-from gbid.control.tune.travel import travel_limit
-from gbid.control.tune.uncertainty import Uncertainty
-from gbid.control.tune.verify import distance_to_edge
-from gbid.control.tune.worst_points import add_worst_points
+from gbid.control.tuning.gain_result import GainResult, SearchStep
+from gbid.control.tuning.maximise import as_bounds, as_start, solve, summarise, typical_rate
+from gbid.control.tuning.search.global_search import Effort, Progress
+from gbid.control.tuning.search.limits import Limits, Objective
+from gbid.control.tuning.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
+from gbid.control.tuning.search.loop_family import LoopEquations, LoopFamily, loop_equations
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum
+from gbid.control.tuning.travel import travel_limit
+from gbid.control.tuning.uncertainty import Uncertainty
+from gbid.control.tuning.verify import distance_to_edge
+from gbid.control.tuning.worst_points import add_worst_points
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.operating_point import point_label

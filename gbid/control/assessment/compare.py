@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gbid.control.assess.assess import Assessment
+from gbid.control.assessment.assess import Assessment
 from gbid.errors import UsageError
 
 COLUMNS = (

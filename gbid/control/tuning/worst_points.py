@@ -7,12 +7,12 @@ from typing import Protocol
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tune.gain_result import SearchStep
-from gbid.control.tune.maximise import solve
-from gbid.control.tune.search.global_search import Effort, Progress
-from gbid.control.tune.search.loop_family import LoopFamily
-from gbid.control.tune.search.problem import GainProblem
-from gbid.control.tune.search.sqp import LocalOptimum
+from gbid.control.tuning.gain_result import SearchStep
+from gbid.control.tuning.maximise import solve
+from gbid.control.tuning.search.global_search import Effort, Progress
+from gbid.control.tuning.search.loop_family import LoopFamily
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.lpv import Domain
 
 TOLERANCE = 5e-5

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from gbid.brief import brief
-from gbid.control.tune.gain_result import GainResult
-from gbid.control.tune.tune import tune
+from gbid.control.tuning.gain_result import GainResult
+from gbid.control.tuning.tune import tune
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 

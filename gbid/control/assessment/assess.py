@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from gbid.brief import brief
-from gbid.control.assess.point_assessment import FIGURES, LOWEST_IS_WORST, PointAssessment, assess_point
+from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST, PointAssessment, assess_point
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tune.search.loop_family import LoopFamily
+from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.errors import UsageError
 
 Objective = Literal["damping", "decay"]

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tune.search.problem import ActiveFunction, ActiveFunctions, GainProblem, Score
+from gbid.control.tuning.search.problem import ActiveFunction, ActiveFunctions, GainProblem, Score
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.control.controllers.scheduled import Scheduled
-from gbid.control.tune.search.direct_call import DirectCall
-from gbid.control.tune.search.loop_delay import delayed_outputs
+from gbid.control.tuning.search.direct_call import DirectCall
+from gbid.control.tuning.search.loop_delay import delayed_outputs
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.operating_point import point_label

@@ -9,9 +9,9 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.control.loop.norm import largest_singular_values, peak_gain
-from gbid.control.tune.gain_result import WorstMode
-from gbid.control.tune.search.loop_family import LoopFamily
-from gbid.control.tune.search.problem import GainProblem, rows_of
+from gbid.control.tuning.gain_result import WorstMode
+from gbid.control.tuning.search.loop_family import LoopFamily
+from gbid.control.tuning.search.problem import GainProblem, rows_of
 from gbid.structure import LinearModel
 
 
