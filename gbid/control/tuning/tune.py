@@ -74,7 +74,7 @@ def tune(
     controller : {"P", "PD", "biquad"}, Structure or Scheduled
         See `gbid.controller_structure`; default P with a first-order low-pass of 1000 Hz. A low-pass whose corner is a
         gain as well: ``controller_structure("P", tune_corner=True)``. Gains that follow pressure and speed:
-        `gbid.control.controllers.scheduled`.
+        `gbid.control.scheduled`.
     peak_sensitivity : float, optional
         Cap M on the peak of the output sensitivity; None maximises damping alone, see Notes.
     peak_control, static_amplification : float, optional

@@ -191,7 +191,7 @@ def loop_equations(
     ----------
     lpv : LPVModel
     controller : Structure or Scheduled
-        From p to r; see `gbid.controller_structure` and `gbid.control.controllers.scheduled`.
+        From p to r; see `gbid.controller_structure` and `gbid.control.scheduled`.
     actuator : dict of str to float, optional
         Parameters of Eq. 12; the model's own when not given.
     delay_s : float
