@@ -8,8 +8,14 @@ from pathlib import Path
 
 from gbid.errors import DataError
 from gbid.experiment.keys import content_key, stored_key
-from gbid.experiment.stages import Job, Outcome, Task, fit_tasks, import_tasks, prefilter_tasks, produce, rig_tasks
-from gbid.experiment.stages.failures import remembered_failure
+from gbid.experiment.run.failures import remembered_failure
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
+from gbid.experiment.stages.fit.stage import fit_tasks
+from gbid.experiment.stages.importing.stage import import_tasks
+from gbid.experiment.stages.prefilter.stage import prefilter_tasks
+from gbid.experiment.stages.rig.stage import rig_tasks
 from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
 from gbid.identify.table.table_store import write_csv
 

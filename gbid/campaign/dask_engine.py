@@ -13,8 +13,10 @@ from typing import Any
 from gbid.campaign.pool import ATTEMPTS, ONE_THREAD
 from gbid.campaign.shipping import attempt, bare_job, bare_task
 from gbid.errors import DataError, GbidError, NoSpaceError, UsageError
-from gbid.experiment.stages import Job, Outcome, Task, fail
-from gbid.experiment.stages.failures import Failure
+from gbid.experiment.run.failures import Failure
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import fail
 
 _PATIENCE = 10.0  # seconds for a scheduler to answer
 _AHEAD = 3  # journeys for each thread of a worker at a time, so that it need not wait
@@ -62,7 +64,7 @@ class DaskEngine:
             ) from None
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.stages.Engine`.
+        """Run tasks; see `gbid.experiment.run.job.TaskEngine`.
 
         Raises
         ------

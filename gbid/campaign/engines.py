@@ -7,7 +7,9 @@ from collections.abc import Generator, Sequence
 from typing import Literal, get_args
 
 from gbid.errors import UsageError
-from gbid.experiment.stages import Engine, InTurn, Job, Outcome, Task
+from gbid.experiment.run.job import Job, Task, TaskEngine
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import InTurn
 
 EngineName = Literal["auto", "serial", "pool", "dask"]
 
@@ -15,7 +17,7 @@ FEW = 8
 """Below so many tasks of a stage the start of worker processes costs more than they gain."""
 
 
-def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> Engine:
+def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> TaskEngine:
     """Make what runs tasks.
 
     Parameters
@@ -30,7 +32,7 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
 
     Returns
     -------
-    Engine
+    TaskEngine
         To be closed after use.
 
     Raises
@@ -63,11 +65,11 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
 class Auto:
     """Runs a few tasks in this process and many on a pool; once that has been started, it runs any."""
 
-    def __init__(self, pool: Engine) -> None:
+    def __init__(self, pool: TaskEngine) -> None:
         self._pool, self._started = pool, False
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.stages.Engine`."""
+        """Run tasks; see `gbid.experiment.run.job.TaskEngine`."""
         self._started = self._started or len(tasks) >= FEW
         yield from (self._pool if self._started else InTurn()).outcomes(job, tasks)
 

@@ -6,16 +6,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from gbid.campaign.shard import Shard, tasks_of
-from gbid.experiment.stages import (
-    Job,
-    Outcome,
-    Task,
-    fit_tasks,
-    import_tasks,
-    prefilter_tasks,
-    rig_tasks,
-    standing,
-)
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import standing
+from gbid.experiment.stages.fit.stage import fit_tasks
+from gbid.experiment.stages.importing.stage import import_tasks
+from gbid.experiment.stages.prefilter.stage import prefilter_tasks
+from gbid.experiment.stages.rig.stage import rig_tasks
 
 STAGES: tuple[Callable[[Job], list[Task]], ...] = (rig_tasks, import_tasks, prefilter_tasks, fit_tasks)
 """From recordings to fits; each stage starts from what the one before made."""

@@ -17,8 +17,10 @@ from multiprocessing.process import BaseProcess
 from gbid.campaign.shipping import bare_job, bare_task
 from gbid.campaign.worker import READY, serve
 from gbid.errors import GbidError, NoSpaceError
-from gbid.experiment.stages import Job, Outcome, Task, fail, standing
-from gbid.experiment.stages.failures import Failure
+from gbid.experiment.run.failures import Failure
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import fail, standing
 
 ATTEMPTS = 3
 """How often a task may take its worker down before it counts as failed."""
@@ -55,7 +57,7 @@ class ProcessPool:
         return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.stages.Engine`.
+        """Run tasks; see `gbid.experiment.run.job.TaskEngine`.
 
         Raises
         ------

@@ -10,8 +10,12 @@ from gbid.campaign.engines import make_engine
 from gbid.campaign.lock import locked
 from gbid.campaign.plan import plan_campaign
 from gbid.campaign.shard import Shard
-from gbid.experiment.load import Experiment
-from gbid.experiment.stages import Job, Outcome, Reporter, Silent, Task, map_tasks, run_tasks
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.reporter import Reporter, Silent
+from gbid.experiment.stages.prefilter.stage import map_tasks
 
 
 @contextmanager
@@ -34,7 +38,7 @@ def working(
     ----------
     experiment : Experiment
     overwrite, retry : bool
-        As in `gbid.experiment.stages.Job`.
+        As in `gbid.experiment.run.job.Job`.
     reporter : Reporter, optional
     engine, workers, scheduler
         As in `gbid.campaign.engines.make_engine`.

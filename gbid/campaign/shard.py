@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from gbid.errors import UsageError
-from gbid.experiment.load import Experiment
-from gbid.experiment.stages import Task
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.run.job import Task
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,9 @@ from pathlib import Path
 from ruamel.yaml.comments import CommentedMap
 
 from gbid.errors import NoSpaceError
-from gbid.experiment.stages import Job, Outcome, Task, perform, standing
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import perform, standing
 from gbid.yaml_file import YamlFile
 
 

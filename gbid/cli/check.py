@@ -22,9 +22,9 @@ def check(
     """Check an experiment YAML, the data that it imports and the room for its results; all problems at once."""
     with guarded(as_json, debug):
         from gbid.cli.printing import print_json
-        from gbid.experiment.checks_data import find_data_problems, size
+        from gbid.experiment.data_checks import find_data_problems, size
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import find_import_problems
+        from gbid.experiment.stages.importing.stage import find_import_problems
 
         loaded = load_experiment(experiment, results)
         problems, code, (needed, free) = find_data_problems(loaded)

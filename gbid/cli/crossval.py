@@ -21,7 +21,9 @@ def crossval(
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job, choose_nominal, run_crossval
+        from gbid.experiment.run.job import Job
+        from gbid.experiment.stages.crossval.stage import run_crossval
+        from gbid.experiment.stages.nominal.stage import choose_nominal
         from gbid.report.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)

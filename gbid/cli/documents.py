@@ -8,10 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from gbid.experiment.load import Experiment
-from gbid.experiment.stages import CrossvalRow, Job, Outcome, load_made_fit, load_made_static, made_impacts
-from gbid.experiment.stages.crossvalidating import SUMMARY
-from gbid.experiment.structures import make_structure, rig_model, true_model, true_values
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.stages.crossval.rows import CrossvalRow
+from gbid.experiment.stages.crossval.stage import SUMMARY
+from gbid.experiment.stages.fit.stage import load_made_fit
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.fit.truth import true_model, true_values
+from gbid.experiment.stages.impact.stage import made_impacts
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.static.stage import load_made_static
 from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording

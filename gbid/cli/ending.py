@@ -9,7 +9,8 @@ from typing import Any
 import typer
 
 from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
-from gbid.experiment.stages import CrossvalRow, Outcome
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.stages.crossval.rows import CrossvalRow
 
 _MISSED = 20  # pairs below the minimum that are named
 _IDLE = 20  # items without input that are named

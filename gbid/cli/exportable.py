@@ -10,8 +10,9 @@ import numpy as np
 
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.pairs import fit_models
-from gbid.experiment.stages import Job, load_made_fit
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.fit.plan import fit_models
+from gbid.experiment.stages.fit.stage import load_made_fit
 from gbid.identify import FitResult, load_fit
 from gbid.interchange import Exportable, save_csv, save_mat, save_yaml
 from gbid.lpv import LPVModel, load_model

@@ -21,7 +21,7 @@ def figures(
         from gbid.cli.printing import print_json
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job
+        from gbid.experiment.run.job import Job
         from gbid.report.paper.stage import FOLDER, write_paper
 
         loaded = load_experiment(experiment, results)

@@ -31,7 +31,8 @@ def fit(
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.problems import nearest
-        from gbid.experiment.stages import prefilter_recordings, run_fits
+        from gbid.experiment.stages.fit.stage import run_fits
+        from gbid.experiment.stages.prefilter.stage import prefilter_recordings
         from gbid.report.tables import fit_tables, prefilter_table
 
         loaded = load_experiment(experiment, results)

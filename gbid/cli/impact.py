@@ -23,9 +23,9 @@ def impact(
         from gbid.cli.ending import finish, outcome_rows
         from gbid.cli.printing import print_json, print_table
         from gbid.cli.progress import reporting
-        from gbid.experiment.impact_plan import impacts_section
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import run_impacts
+        from gbid.experiment.stages.impact.plan import impacts_section
+        from gbid.experiment.stages.impact.stage import run_impacts
         from gbid.report.impact_tables import impact_tables
 
         loaded = load_experiment(experiment, results)

@@ -19,6 +19,6 @@ def import_data(
     """Read the recordings of the import section."""
     with guarded(as_json, debug):
         from gbid.cli.sources import make_recordings
-        from gbid.experiment.stages import import_recordings
+        from gbid.experiment.stages.importing.stage import import_recordings
 
         make_recordings("import", import_recordings, experiment, results, overwrite, as_json, engine, workers, retry)

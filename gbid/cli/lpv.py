@@ -20,7 +20,8 @@ def lpv(
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job, draw_surfaces, made_surfaces
+        from gbid.experiment.run.job import Job
+        from gbid.experiment.stages.lpv.stage import draw_surfaces, made_surfaces
         from gbid.report.lpv_tables import lpv_documents, lpv_tables
 
         loaded = load_experiment(experiment, results)

@@ -10,7 +10,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from gbid.cli.tally import Tally
-from gbid.experiment.stages.common import Outcome, Reporter
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.reporter import Reporter
 
 if TYPE_CHECKING:
     from gbid.control.tuning.gain_result import SearchStep

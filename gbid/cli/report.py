@@ -31,7 +31,7 @@ def report(
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job
+        from gbid.experiment.run.job import Job
         from gbid.report.html import write_report
 
         loaded = load_experiment(experiment, results)

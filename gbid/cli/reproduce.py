@@ -30,7 +30,7 @@ def reproduce(
         from gbid.cli.printing import print_json, print_table
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job
+        from gbid.experiment.run.job import Job
         from gbid.report.paper.stage import write_reproduction
         from gbid.report.paper.table import reproduction_table
 

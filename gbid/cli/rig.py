@@ -19,6 +19,6 @@ def rig(
     """Make the recordings of the rig section."""
     with guarded(as_json, debug):
         from gbid.cli.sources import make_recordings
-        from gbid.experiment.stages import make_rig_recordings
+        from gbid.experiment.stages.rig.stage import make_rig_recordings
 
         make_recordings("rig", make_rig_recordings, experiment, results, overwrite, as_json, engine, workers, retry)

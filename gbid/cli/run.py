@@ -36,16 +36,12 @@ def run(
         from gbid.cli.progress import reporting
         from gbid.cli.tally import MANY
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import (
-            choose_nominal,
-            draw_surfaces,
-            made_designs,
-            made_surfaces,
-            run_crossval,
-            run_impacts,
-            run_static,
-            run_tuning,
-        )
+        from gbid.experiment.stages.crossval.stage import run_crossval
+        from gbid.experiment.stages.impact.stage import run_impacts
+        from gbid.experiment.stages.lpv.stage import draw_surfaces, made_surfaces
+        from gbid.experiment.stages.nominal.stage import choose_nominal
+        from gbid.experiment.stages.static.stage import run_static
+        from gbid.experiment.stages.tune.stage import made_designs, run_tuning
         from gbid.report.html import write_report
         from gbid.report.impact_tables import impact_tables
         from gbid.report.lpv_tables import lpv_documents, lpv_tables

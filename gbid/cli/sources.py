@@ -12,7 +12,8 @@ from gbid.cli.printing import print_json, print_table
 from gbid.cli.progress import reporting
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job, Outcome
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
 from gbid.report.tables import recording_table
 
 

@@ -21,7 +21,8 @@ def static(
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job, run_static
+        from gbid.experiment.run.job import Job
+        from gbid.experiment.stages.static.stage import run_static
         from gbid.report.static_tables import static_table
 
         loaded = load_experiment(experiment, results)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 
-from gbid.experiment.stages.common import Outcome
+from gbid.experiment.run.outcome import Outcome
 
 MANY = 12
 """With more items than this, progress is a sum and no longer a line for each."""

@@ -21,7 +21,8 @@ def tune(
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.experiment.stages import Job, made_designs, run_tuning
+        from gbid.experiment.run.job import Job
+        from gbid.experiment.stages.tune.stage import made_designs, run_tuning
         from gbid.report.tuning_tables import tuning_documents, tuning_tables
 
         loaded = load_experiment(experiment, results)

@@ -68,3 +68,10 @@ class Section(BaseModel):
     """A block of keys: unknown ones are refused, values do not change."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
+
+
+def given(value: Any) -> Any:
+    """Refuse a key with nothing behind it."""
+    if value is None:
+        raise ValueError("is empty; write {} for the defaults, or leave the key out")
+    return value

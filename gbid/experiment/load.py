@@ -2,87 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from copy import deepcopy
-from dataclasses import dataclass
-from fnmatch import fnmatchcase
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
 from gbid.errors import UsageError
-from gbid.experiment.folders import FoundFiles, find_files
-from gbid.experiment.plan import PlannedRecording, planned_recordings
+from gbid.experiment.checks import find_experiment_problems
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
 from gbid.experiment.schema import ExperimentFile
-from gbid.yaml_file import YamlFile, read_yaml
-
-
-@dataclass(frozen=True, eq=False)
-class Experiment:
-    """An experiment file, its positions, and where its results go.
-
-    Attributes
-    ----------
-    file : YamlFile
-        The YAML with the line and column of each value.
-    spec : ExperimentFile
-        Its contents.
-    results : pathlib.Path
-        Folder of the results.
-    """
-
-    file: YamlFile
-    spec: ExperimentFile
-    results: Path
-
-    @property
-    def folder(self) -> Path:
-        """Folder of the YAML, from where its paths count."""
-        return self.file.path.parent
-
-    @cached_property
-    def recordings(self) -> Mapping[str, PlannedRecording]:
-        """Recordings that the rig makes or the import reads, by name."""
-        return {planned.name: planned for planned in planned_recordings(self.spec, self.imports.files)}
-
-    @cached_property
-    def imports(self) -> FoundFiles:
-        """Files that the import section names or finds in its folder, as they are when first asked for."""
-        section = self.spec.imported
-        return find_files(section, self.folder) if section is not None else FoundFiles((), ())
-
-    @cached_property
-    def points(self) -> Mapping[str, list[PlannedRecording]]:
-        """Recordings by operating point."""
-        found: dict[str, list[PlannedRecording]] = {}
-        for planned in self.recordings.values():
-            found.setdefault(planned.point, []).append(planned)
-        return found
-
-    @cached_property
-    def fits_of(self) -> Mapping[str, list[str]]:
-        """Names of the fits that a recording is used in, by its name."""
-        found: dict[str, list[str]] = {}
-        for fit in self.spec.fits:
-            for planned in self.fit_recordings(fit):
-                found.setdefault(planned.name, []).append(fit)
-        return found
-
-    def matching(self, patterns: tuple[str, ...]) -> list[PlannedRecording]:
-        """List recordings whose names match any of the patterns, in the experiment's order."""
-        return [q for q in self.recordings.values() if any(fnmatchcase(q.name, p) for p in patterns)]
-
-    def fit_recordings(self, fit: str) -> list[PlannedRecording]:
-        """List the recordings of a fit; all excited ones when it names none."""
-        patterns = self.spec.fits[fit].recordings
-        return self.matching(patterns) if patterns else [q for q in self.recordings.values() if q.excited]
-
-    def problem(self, location: Location, text: str) -> Problem:
-        """Build a problem at the position of a key."""
-        return Problem(self.file.position(location), dotted(location), text)
+from gbid.yaml_file import read_yaml
 
 
 def load_experiment(path: str | Path, results: str | Path | None = None) -> Experiment:
@@ -104,8 +36,6 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
     ExperimentError
         With all problems at once, each with file, line, column, key and what to do.
     """
-    from gbid.experiment.checks import find_experiment_problems  # after this module: checks need Experiment
-
     path = Path(path)
     try:
         file = read_yaml(path)

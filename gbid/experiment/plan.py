@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from gbid.experiment.folders import FoundFile
 from gbid.experiment.problems import Location
 from gbid.experiment.schema import ExperimentFile
-from gbid.experiment.schema_import import ImportedSection
-from gbid.experiment.schema_rig import OperatingPoint, Place, RigSection
+from gbid.experiment.stages.importing.folders import FoundFile
+from gbid.experiment.stages.importing.schema import ImportedSection
+from gbid.experiment.stages.rig.schema import OperatingPoint, Place, RigSection
 from gbid.units import SIGNALS
 
 RIG_SIGNALS = {name: SIGNALS[name].channels for name in ("r", "u", "p", "phi")}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, get_args, get_origin
 
@@ -13,6 +13,8 @@ from gbid.errors import UsageError
 
 Location = tuple[str | int, ...]
 """Keys and list positions that lead to a value of the YAML."""
+Found = Iterator[tuple[Location, str]]
+"""What a check finds: where in the YAML, and what is wrong."""
 _LISTED, _FIRST = 30, 8  # names that one line lists at most; of more, so many
 
 

@@ -4,65 +4,20 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, Strict
+from pydantic import BeforeValidator, Field
 
-from gbid.experiment.fields import (
-    Count,
-    Name,
-    Names,
-    NotNegative,
-    Number,
-    Positive,
-    Section,
-    Switch,
-    Text,
-)
-from gbid.experiment.schema_control import ControllerSection
-from gbid.experiment.schema_fits import FitSection
-from gbid.experiment.schema_impacts import ImpactsSection
-from gbid.experiment.schema_import import ImportSection
-from gbid.experiment.schema_lpv import LpvSection
-from gbid.experiment.schema_rig import RigSection, given
-from gbid.experiment.schema_static import StaticSection
-
-
-class PrefilterSection(Section):
-    """What is taken out of the excited recordings before the fits (paper, Sec. 3.5)."""
-
-    method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
-    align_index: Switch = False
-    harmonics: Count = 10
-    bins: Annotated[int, Strict(), Field(ge=4)] = 100
-    median: Count = 3
-    remove_mean: Switch = True
-
-
-class CrossvalSection(Section):
-    """On which recordings the models of a fit are validated (paper, Sec. 3.8).
-
-    `on`: ``cyclic`` is model j on recording j + 1 of its operating point, the last on the first; ``others`` each model
-    on all other excited recordings; ``point`` on those of its own operating point; else names of recordings.
-    `residuals` are tested for all ``pairs``, for the first pair of each of the ``models``, or not at all (``none``);
-    by default for all pairs when there are at most 200 of them, else once for each model.
-    """
-
-    on: Names = ("cyclic",)
-    minimum_percent: Number | None = None
-    residuals: Literal["pairs", "models", "none"] | None = None
-
-
-class NominalSection(Section):
-    """Fit whose most central model is the nominal actuator; see `gbid.nominal_actuator`."""
-
-    fit: Name
-
-
-class FigureSection(Section):
-    """The part of the recording that the picture shows, and whether one of the residuals is drawn beside it."""
-
-    from_s: NotNegative | None = None
-    to_s: Positive | None = None
-    residuals: Switch = False
+from gbid.experiment.fields import Name, Section, Text, given
+from gbid.experiment.stages.crossval.schema import CrossvalSection
+from gbid.experiment.stages.figures.schema import FigureSection
+from gbid.experiment.stages.fit.schema import FitSection
+from gbid.experiment.stages.impact.schema import ImpactsSection
+from gbid.experiment.stages.importing.schema import ImportSection
+from gbid.experiment.stages.lpv.schema import LpvSection
+from gbid.experiment.stages.nominal.schema import NominalSection
+from gbid.experiment.stages.prefilter.schema import PrefilterSection
+from gbid.experiment.stages.rig.schema import RigSection
+from gbid.experiment.stages.static.schema import StaticSection
+from gbid.experiment.stages.tune.schema import ControllerSection
 
 
 class ExperimentFile(Section):

@@ -11,8 +11,8 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gbid.experiment.load import Experiment
-from gbid.experiment.stages import Outcome
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.run.outcome import Outcome
 from gbid.lpv import LPVFit
 from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN
 from gbid.report.rows import Row

@@ -10,7 +10,10 @@ from matplotlib.figure import Figure
 
 from gbid.errors import DataError
 from gbid.experiment.keys import content_key
-from gbid.experiment.stages import Job, Outcome, drawn_pairs, pair_keys, produce, residuals_of_pair, validate_pair
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
+from gbid.experiment.stages.crossval.pairing import drawn_pairs, pair_keys, residuals_of_pair, validate_pair
 from gbid.report.figures import response_figure, save_figure
 from gbid.report.residuals import residuals_figure
 

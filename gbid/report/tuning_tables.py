@@ -13,7 +13,7 @@ from gbid.control.assessment.compare import COLUMNS
 from gbid.control.assessment.point_assessment import FIGURES
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
 from gbid.control.tuning.gain_result import GainResult
-from gbid.experiment.stages import Outcome
+from gbid.experiment.run.outcome import Outcome
 from gbid.operating_point import point_label
 from gbid.report.rows import Row
 from gbid.report.tables import new_table

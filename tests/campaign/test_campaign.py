@@ -29,8 +29,12 @@ from gbid.campaign.run import run_campaign, working
 from gbid.campaign.shard import Shard, read_shard, tasks_of
 from gbid.errors import NoSpaceError, UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import InTurn, Job, fit_tasks, import_tasks, rig_tasks, run_tasks
-from gbid.experiment.stages.failures import remembered_failure
+from gbid.experiment.run.failures import remembered_failure
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.perform import InTurn, run_tasks
+from gbid.experiment.stages.fit.stage import fit_tasks
+from gbid.experiment.stages.importing.stage import import_tasks
+from gbid.experiment.stages.rig.stage import rig_tasks
 from gbid.identify import load_fit
 
 PROC = pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="needs /proc to find the workers")

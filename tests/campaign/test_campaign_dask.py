@@ -16,7 +16,8 @@ from gbid.campaign.pool import ATTEMPTS
 from gbid.campaign.run import run_campaign, working
 from gbid.errors import GbidError, NoSpaceError, UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job, run_tasks
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.perform import run_tasks
 
 distributed = pytest.importorskip("distributed", reason="distributed is not installed (gbid[dask])")
 WorkerPlugin, CommClosedError = distributed.WorkerPlugin, distributed.comm.CommClosedError

@@ -195,7 +195,11 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
 
     from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
     from gbid.experiment.load import load_experiment
-    from gbid.experiment.stages import Job, make_rig_recordings, prefilter_recordings, run_crossval, run_fits
+    from gbid.experiment.run.job import Job
+    from gbid.experiment.stages.crossval.stage import run_crossval
+    from gbid.experiment.stages.fit.stage import run_fits
+    from gbid.experiment.stages.prefilter.stage import prefilter_recordings
+    from gbid.experiment.stages.rig.stage import make_rig_recordings
     from gbid.report.tables import crossval_table, fit_tables, prefilter_table
 
     path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))

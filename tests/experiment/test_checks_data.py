@@ -10,7 +10,7 @@ from experiment_files import gbid, write_quick, write_spring, write_spring_data
 from scipy.io import savemat
 
 from gbid.errors import DataError
-from gbid.experiment.checks_data import disk_space, find_data_problems, size
+from gbid.experiment.data_checks import disk_space, find_data_problems, size
 from gbid.experiment.load import load_experiment
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import peek
@@ -151,7 +151,7 @@ def test_the_estimate_of_the_size_is_about_right(tmp_path, capsys):
 
 
 def find_seen(experiment):
-    from gbid.experiment.checks_data import peek_recordings
+    from gbid.experiment.data_checks import peek_recordings
 
     return peek_recordings(experiment)[0]
 

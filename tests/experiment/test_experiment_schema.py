@@ -6,8 +6,8 @@ from places import EXPERIMENTS
 
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.pairs import figure_pairs, validation_pairs
 from gbid.experiment.problems import ExperimentError
+from gbid.experiment.stages.crossval.plan import figure_pairs, validation_pairs
 
 
 def problems_of(path: Path) -> list[str]:

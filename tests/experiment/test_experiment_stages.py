@@ -11,17 +11,14 @@ from places import MEASURED as SHARED
 from gbid.errors import DataError, UsageError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import (
-    Job,
-    import_recordings,
-    load_made_fit,
-    make_rig_recordings,
-    prefilter_recordings,
-    run_crossval,
-    run_fits,
-)
-from gbid.experiment.stages.fitting import fit_arguments, samples_of
-from gbid.experiment.structures import make_structure, true_model, true_values
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.crossval.stage import run_crossval
+from gbid.experiment.stages.fit.stage import fit_arguments, load_made_fit, run_fits, samples_of
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.fit.truth import true_model, true_values
+from gbid.experiment.stages.importing.stage import import_recordings
+from gbid.experiment.stages.prefilter.stage import prefilter_recordings
+from gbid.experiment.stages.rig.stage import make_rig_recordings
 from gbid.identify import fit
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter

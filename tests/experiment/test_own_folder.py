@@ -10,8 +10,8 @@ from rig_point import machine
 from scipy.io import savemat
 
 from gbid.errors import UsageError
-from gbid.experiment.file_names import name_pattern
 from gbid.experiment.load import load_experiment
+from gbid.experiment.stages.importing.file_names import name_pattern
 from gbid.rig import Prbs, Stationary, record
 from gbid.structure import KEY_PARAMETERS
 

@@ -10,7 +10,10 @@ from experiment_files import STAIRS, gbid, write_quick
 from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.experiment.load import load_experiment
 from gbid.experiment.problems import ExperimentError
-from gbid.experiment.stages import Job, make_rig_recordings, prefilter_recordings, run_static
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.prefilter.stage import prefilter_recordings
+from gbid.experiment.stages.rig.stage import make_rig_recordings
+from gbid.experiment.stages.static.stage import run_static
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording

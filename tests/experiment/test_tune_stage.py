@@ -12,11 +12,11 @@ from gbid.cli.main import app
 from gbid.control import HalfSine, compare_designs
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import DataError
-from gbid.experiment.design_plan import design_structure
-from gbid.experiment.impact_plan import controller_at
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job, run_tuning
-from gbid.experiment.stages.tuning import PUBLISHED
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.impact.plan import controller_at
+from gbid.experiment.stages.tune.plan import design_structure
+from gbid.experiment.stages.tune.stage import PUBLISHED, run_tuning
 from gbid.share import share_folder
 
 MODEL = gbid.load_model("theisen2016")

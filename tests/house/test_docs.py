@@ -22,7 +22,8 @@ from typer.main import get_command
 import gbid
 from gbid.cli.main import app
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job, make_rig_recordings
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.rig.stage import make_rig_recordings
 from gbid.structure import Structure
 
 DOCS = ROOT / "docs"

@@ -18,7 +18,7 @@ from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import DataError, UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job
+from gbid.experiment.run.job import Job
 from gbid.lpv import CHARACTERISTICS, fit_lpv
 from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
 from gbid.lpv.surface_fit.estimates import Estimates

@@ -16,7 +16,7 @@ from gbid import report
 from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job
+from gbid.experiment.run.job import Job
 from gbid.report.designs import comparable_designs
 from gbid.report.html import write_report
 from gbid.report.html.tuned_blocks import held_back

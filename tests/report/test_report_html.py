@@ -20,7 +20,11 @@ from gbid.cli.main import app
 from gbid.control import HalfSine, close_loop, impact_response, p_controller, sensitivities
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
-from gbid.experiment.stages import Job, choose_nominal, draw_surfaces, run_crossval, validate_pair
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.crossval.pairing import validate_pair
+from gbid.experiment.stages.crossval.stage import run_crossval
+from gbid.experiment.stages.lpv.stage import draw_surfaces
+from gbid.experiment.stages.nominal.stage import choose_nominal
 from gbid.report.html import write_report
 from gbid.report.html.controller_section import loop_model
 from gbid.report.html.explorer import explorer_model

@@ -11,8 +11,10 @@ from rig_point import machine, rotor_bearing
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.problems import ExperimentError
-from gbid.experiment.stages import Job, make_rig_recordings
-from gbid.experiment.structures import make_structure, true_values
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.fit.truth import true_values
+from gbid.experiment.stages.rig.stage import make_rig_recordings
 from gbid.recording import find_problems, load_recording
 from gbid.rig import (
     Faults,

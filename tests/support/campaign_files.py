@@ -16,7 +16,9 @@ from places import ROOT
 
 from gbid.cli.tally import Tally
 from gbid.errors import DataError, NoSpaceError
-from gbid.experiment.stages import Made, Silent, Task
+from gbid.experiment.run.job import Task
+from gbid.experiment.run.outcome import Made
+from gbid.experiment.run.reporter import Silent
 
 ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1"}
 

@@ -12,24 +12,22 @@ import numpy as np
 from gbid.control import ControllerDesign, load_controller
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import DataError, GbidError, UsageError
-from gbid.experiment.pairs import recordings_of
-from gbid.experiment.stages import (
-    CrossvalRow,
-    Job,
-    fit_tasks,
-    import_tasks,
-    prefilter_tasks,
-    read_designs,
-    rig_tasks,
-    standing,
-)
-from gbid.experiment.stages.common import Task
-from gbid.experiment.stages.crossvalidating import read_crossval, scores_of_rows
-from gbid.experiment.stages.fitting import load_made_fit
-from gbid.experiment.stages.pairing import validate_pair
-from gbid.experiment.stages.prefiltering import FOLDER as PREFILTERED
-from gbid.experiment.stages.surfaces import read_surfaces
-from gbid.experiment.structures import make_structure, rig_model, true_model, true_values
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.perform import standing
+from gbid.experiment.stages.crossval.pairing import validate_pair
+from gbid.experiment.stages.crossval.rows import CrossvalRow, scores_of_rows
+from gbid.experiment.stages.crossval.stage import read_crossval
+from gbid.experiment.stages.fit.plan import recordings_of
+from gbid.experiment.stages.fit.stage import fit_tasks, load_made_fit
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.fit.truth import true_model, true_values
+from gbid.experiment.stages.importing.stage import import_tasks
+from gbid.experiment.stages.lpv.stage import read_surfaces
+from gbid.experiment.stages.prefilter.stage import FOLDER as PREFILTERED
+from gbid.experiment.stages.prefilter.stage import prefilter_tasks
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.rig.stage import rig_tasks
+from gbid.experiment.stages.tune.stage import read_designs
 from gbid.identify import FitResult, TableEntry, tabulate
 from gbid.lpv import LPVFit, LPVModel
 from gbid.prefilter.store import read_report

@@ -8,8 +8,8 @@ from typing import Any
 from gbid.control.impact.impact_store import load_impacts
 from gbid.control.impact.study import ImpactStudy
 from gbid.errors import UsageError
-from gbid.experiment.stages import standing
-from gbid.experiment.stages.impacting import loops_without_controller, study_tasks
+from gbid.experiment.run.perform import standing
+from gbid.experiment.stages.impact.stage import loops_without_controller, study_tasks
 from gbid.operating_point import point_label
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Section, Shown, Table, Words

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar
 
-from gbid.experiment.load import Experiment
+from gbid.experiment.experiment import Experiment
 from gbid.operating_point import point_label
 from gbid.report.html.pictures import Picture
 

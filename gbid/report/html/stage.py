@@ -6,7 +6,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from gbid.experiment.keys import content_key, stored_key
-from gbid.experiment.stages import Job, Outcome, produce
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
 from gbid.report.html.controller_section import controller_section
 from gbid.report.html.fits_section import fits_section
 from gbid.report.html.gather import DESIGNS, Gathered

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gbid.experiment.stages import CrossvalRow
+from gbid.experiment.stages.crossval.rows import CrossvalRow
 from gbid.operating_point import point_label
 from gbid.report.across import ActuatorParameters, histogram_data, plot_actuator_parameters, plot_fit_histogram
 from gbid.report.html.gather import Gathered

@@ -9,8 +9,8 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from gbid.control import sensitivity_data
-from gbid.experiment.pairs import recordings_of
-from gbid.experiment.stages import validate_pair
+from gbid.experiment.stages.crossval.pairing import validate_pair
+from gbid.experiment.stages.fit.plan import recordings_of
 from gbid.operating_point import point_label
 from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
 from gbid.report.designs import designs_pareto_data

@@ -11,16 +11,19 @@ from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.control.impact.impact_store import load_impacts
 from gbid.control.impact.study import ImpactStudy
 from gbid.errors import DataError, GbidError, UsageError
-from gbid.experiment.checks_static import wanted_signals
-from gbid.experiment.pairs import fit_models
-from gbid.experiment.stages import Job, fit_path, load_made_fit, read_designs, standing
-from gbid.experiment.stages.characterising import static_tasks
-from gbid.experiment.stages.common import Task
-from gbid.experiment.stages.crossvalidating import read_crossval, scores_of_rows
-from gbid.experiment.stages.impacting import study_tasks
-from gbid.experiment.stages.recordings import load_made
-from gbid.experiment.stages.surfaces import read_surfaces
-from gbid.experiment.structures import rig_model
+from gbid.experiment.recordings import load_made
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.perform import standing
+from gbid.experiment.stages.crossval.rows import scores_of_rows
+from gbid.experiment.stages.crossval.stage import read_crossval
+from gbid.experiment.stages.fit.plan import fit_models
+from gbid.experiment.stages.fit.stage import fit_path, load_made_fit
+from gbid.experiment.stages.impact.stage import study_tasks
+from gbid.experiment.stages.lpv.stage import read_surfaces
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.static.schema import wanted_signals
+from gbid.experiment.stages.static.stage import static_tasks
+from gbid.experiment.stages.tune.stage import read_designs
 from gbid.identify import TableEntry, tabulate
 from gbid.lpv import LPVFit, LPVModel
 from gbid.lpv.tables import ProportionalDesign

@@ -14,7 +14,9 @@ from matplotlib.figure import Figure
 
 from gbid.errors import DataError, UsageError
 from gbid.experiment.keys import content_key, stored_key
-from gbid.experiment.stages import Job, Outcome, produce
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
 from gbid.report.figures import save_figure
 from gbid.report.paper.figures import FIGURES
 from gbid.report.paper.reproduction import ReproductionRow, counts, reproduction

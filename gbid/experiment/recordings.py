@@ -1,0 +1,127 @@
+"""Recordings as later stages read them, from the rig or a file: content keys, and what makes one unfit for use."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+
+from gbid.errors import DataError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key, file_digest
+from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.run.inputs import load_checked
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.importing.plan import data_file, mapping_of
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options, rig_experiment
+from gbid.recording import (
+    ProblemKind,
+    Recording,
+    find_problems,
+)
+
+FOLDER = "recordings"
+
+
+def refuse_bad_signals(
+    planned: PlannedRecording,
+    recording: Recording,
+    used: Iterable[str],
+    file: Path | None = None,
+    kinds: Sequence[ProblemKind] | None = None,
+) -> None:
+    """Refuse a recording in which `gbid.recording.find_problems` finds something that concerns the channels used.
+
+    Parameters
+    ----------
+    planned : PlannedRecording
+        Says which signals rest at their limits by design.
+    recording : Recording
+    used : iterable of str
+        Signals (``"p"``) or channels (``"p.x"``).
+    file : pathlib.Path, optional
+        Where it comes from, for the message.
+    kinds : collection of str, optional
+        Kinds of problems that count; all by default.
+
+    Raises
+    ------
+    DataError
+        With all that was found.
+    """
+    wanted = [name.partition(".") for name in used]
+    signals = dict.fromkeys(signal for signal, _, _ in wanted if signal in recording.signals)
+    resting = [name for name, s in planned.imported.signals.items() if s.rests_at_limits] if planned.imported else []
+    texts = []
+    for problem in find_problems(recording, signals, kinds):
+        if problem.kind == "saturated" and problem.signal in resting:
+            continue
+        hit = [c for s, _, c in wanted if s == problem.signal]
+        if problem.signal and problem.channel and not {"", problem.channel} & set(hit):
+            continue
+        hint = " If it rests there by design, write rests_at_limits: true." if planned.imported else ""
+        texts.append(problem.text + (hint if problem.kind == "saturated" else ""))
+    if texts:
+        raise DataError("; ".join(f"{file}: {text}" if file else text for text in texts))
+
+
+def used_channels(experiment: Experiment, recording: str) -> list[str]:
+    """Signals and channels that the fits take from a recording."""
+    used: list[str] = []
+    for fit in experiment.fits_of.get(recording, ()):
+        section, structure = experiment.spec.fits[fit], make_structure(experiment, fit)
+        used += [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
+    return list(dict.fromkeys(used))
+
+
+def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Content key of a recording as it comes from the rig or its file."""
+    if planned.imported is not None:
+        file = data_file(experiment, planned.imported)
+        settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
+        try:
+            digest = file_digest(file)
+        except OSError:  # the import will say so, and is tried again when the file can be read
+            digest = "cannot be read"
+        return content_key("import", settings, [digest])
+    known = _known_keys(experiment)
+    if planned.name not in known:
+        known[planned.name] = _rig_key(experiment, planned)
+    return known[planned.name]
+
+
+@lru_cache(maxsize=4)
+def _known_keys(_experiment: Experiment) -> dict[str, str]:
+    """Keys of recordings of the rig that were asked for already: an experiment does not change."""
+    return {}
+
+
+def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    settings = {
+        **as_settings(record_options(experiment, planned)),
+        "experiment": {str(planned.run[0]): asdict(rig_experiment(experiment, planned))},
+        "machine": asdict(machine_at(experiment, planned, rig_model(experiment))),
+    }
+    return content_key("rig", settings)
+
+
+def load_made(job: Job, planned: PlannedRecording) -> Recording:
+    """Read a recording that an earlier stage made from the present settings.
+
+    Raises
+    ------
+    DataError
+        When it is not there, or was made from other settings.
+    """
+    path = job.path(FOLDER, planned.name)
+    verb = "import" if planned.imported else "rig"
+    return load_checked(path, recording_key(job.experiment, planned), f"gbid {verb}")
+
+
+def recording_task(job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], None]) -> Task:
+    """Task that writes one recording."""
+    path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
+    return Task(stage, planned.name, path, key, write, (planned.name,))

@@ -1,0 +1,45 @@
+"""Results that a task starts from: there, and made from the present settings."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gbid.errors import DataError
+from gbid.experiment.keys import stored_key
+from gbid.recording import (
+    Recording,
+    load_recording,
+)
+
+
+class InputError(DataError):
+    """A result that a task starts from is not there; it is no fault of the task."""
+
+
+def load_checked(path: Path, key: str, command: str) -> Recording:
+    """Read a recording after a check of its content key.
+
+    Raises
+    ------
+    DataError
+        When it is not there, or was made from other settings.
+    """
+    check_made(path, key, command)
+    return load_recording(path)
+
+
+def check_made(path: Path, key: str, command: str) -> None:
+    """Refuse a file that is missing or was made from other settings.
+
+    Raises
+    ------
+    InputError
+        Naming the command that makes it.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: not there; `{command}` makes it")
+    found = stored_key(path)
+    if not found:
+        raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
+    if found != key:
+        raise InputError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")

@@ -1,0 +1,199 @@
+"""How results are made or kept: one task, or all tasks of a stage on an engine."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from gbid.errors import DataError, GbidError, NoSpaceError, UsageError
+from gbid.experiment.keys import is_current, writing_keyed
+from gbid.experiment.run.failures import Failure, forget_failure, remember_failure, remembered_failure
+from gbid.experiment.run.inputs import InputError
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Cause, Made, Outcome
+
+
+def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
+    """Keep the results that are there, let the job's engine make the others.
+
+    Parameters
+    ----------
+    job : Job
+    tasks : sequence of Task
+        Of one stage; they do not start from one another.
+    known : sequence of Outcome or None, optional
+        What `standing` says of each, when the caller has asked already.
+
+    Returns
+    -------
+    list of Outcome
+        In the order of the tasks.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings is there and may not be replaced; nothing has been made then.
+    NoSpaceError
+        When the disk is full.
+    """
+    if not tasks:
+        return []
+    found = [standing(job, task) for task in tasks] if known is None else list(known)
+    settled = [outcome for outcome in found if outcome is not None]
+    todo = [number for number, outcome in enumerate(found) if outcome is None]
+    failed = sum(outcome.state == "failed" for outcome in settled)
+    job.reporter.expect(tasks[0].stage, len(todo), len(settled) - failed, failed)
+    for outcome in settled:
+        job.reporter.end(outcome)
+    if todo:
+        running = (job.engine or InTurn()).outcomes(job, [tasks[number] for number in todo])
+        try:
+            for which, outcome in running:
+                found[todo[which]] = told = replace(outcome, path=tasks[todo[which]].path)
+                job.reporter.end(told)
+        finally:
+            running.close()
+    return [outcome for outcome in found if outcome is not None]
+
+
+def standing(job: Job, task: Task) -> Outcome | None:
+    """Outcome of a task that needs no work: its result is there, or it failed before; None for one to be done.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings is there and may not be replaced.
+    """
+    try:
+        if is_current(task.path, task.key, job.overwrite):
+            made = task.read(task.path) if task.read else Made()
+            return _outcome(task, made, "kept")
+    except DataError as error:
+        if not job.overwrite:
+            return Outcome(task.stage, task.item, task.path, "failed", str(error), cause="data")
+    failure = None if job.retry or job.overwrite else remembered_failure(job, task)
+    if failure is None:
+        return None
+    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause, before=True)
+
+
+def perform(job: Job, task: Task) -> Outcome:
+    """Make the result of a task; whatever goes wrong is an outcome, so that the others go on.
+
+    Parameters
+    ----------
+    job : Job
+    task : Task
+
+    Returns
+    -------
+    Outcome
+        Failures are remembered on disk, but for those of inputs that are not there.
+
+    Raises
+    ------
+    NoSpaceError
+        When the disk is full.
+    KeyboardInterrupt
+        After Ctrl-C.
+    """
+    began = time.perf_counter()
+    try:
+        with writing_keyed(task.path, task.key) as part:
+            made = task.write(job, task.item, part) or Made()
+        forget_failure(job, task)
+        return replace(_outcome(task, made, "made"), seconds=time.perf_counter() - began)
+    except NoSpaceError:
+        raise
+    except Exception as error:
+        if "KeyboardInterrupt" in str(error):  # CasADi makes a RuntimeError of Ctrl-C within one of its callbacks
+            raise KeyboardInterrupt from None
+        failure = _failure_of(task, error)
+    return fail(job, task, failure)
+
+
+def fail(job: Job, task: Task, failure: Failure) -> Outcome:
+    """Give the outcome of a task that failed, and remember it."""
+    if failure.cause != "input":
+        remember_failure(job, task, failure)
+    return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause)
+
+
+def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], str | None]) -> Outcome:
+    """Keep a result, or make it in this process; bad data are an outcome, so that the others go on.
+
+    Parameters
+    ----------
+    job : Job
+    stage, item : str
+    path : pathlib.Path
+        The result.
+    key : str
+        Its content key.
+    write : callable
+        Makes the result, writes it to the path given to it, and may say a word about it.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings is there and may not be replaced.
+    """
+    began = time.perf_counter()
+    try:
+        if is_current(path, key, job.overwrite):
+            outcome = Outcome(stage, item, path, "kept")
+        else:
+            job.reporter.begin(stage, item)
+            with writing_keyed(path, key) as part:
+                text = write(part) or ""
+            outcome = Outcome(stage, item, path, "made", text, time.perf_counter() - began)
+    except NoSpaceError:
+        raise
+    except DataError as error:
+        outcome = Outcome(stage, item, path, "failed", str(error), cause="data")
+    job.reporter.end(outcome)
+    return outcome
+
+
+def _outcome(task: Task, made: Made, state: str) -> Outcome:
+    return Outcome(
+        task.stage,
+        task.item,
+        task.path,
+        "kept" if state == "kept" else "made",
+        made.text,
+        converged=made.converged,
+        fit_percent=made.fit_percent,
+    )
+
+
+def _failure_of(task: Task, error: Exception) -> Failure:
+    if isinstance(error, GbidError):
+        cause: Cause = (
+            "input" if isinstance(error, InputError) else "usage" if isinstance(error, UsageError) else "data"
+        )
+        return Failure(task.key, cause, str(error))
+    if isinstance(error, MemoryError):
+        return Failure(task.key, "crash", "not enough memory")
+    text = " ".join(f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it)".split())
+    return Failure(task.key, "defect", text, traceback.format_exc())
+
+
+class InTurn:
+    """The engine that runs one task after the other in this process."""
+
+    def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
+        """Run tasks in their order."""
+        for number, task in enumerate(tasks):
+            job.reporter.begin(task.stage, task.item)
+            yield number, perform(job, task)
+
+    def close(self) -> None:
+        """Do nothing."""

@@ -1,0 +1,1 @@
+"""Cross-validation: models on recordings that they were not fitted to."""

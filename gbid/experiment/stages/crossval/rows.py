@@ -1,0 +1,119 @@
+"""Rows of a cross-validation, and their CSV table."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.experiment.run.job import Job
+from gbid.validate import ValidationScores
+
+COLUMNS = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
+_LEVEL = 0.01  # of the test of whiteness, over all outputs
+
+
+@dataclass(frozen=True)
+class CrossvalRow:
+    """How one output of a recording is explained by one model.
+
+    Attributes
+    ----------
+    fit, model, recording, output : str
+    fit_percent : float
+        Simulated.
+    infinity_norm : float
+        Largest deviation of the simulation, in `unit`.
+    unit : str
+    residual_p : float or None
+        Probability of less white residuals if they were white; the residuals are those of the fit's own focus.
+        None where they were not tested.
+    residuals_white : bool or None
+    residuals_follow : tuple of str
+        Inputs that are still to be found in the residuals.
+    minimum_percent : float or None
+        What the experiment asks for.
+    """
+
+    fit: str
+    model: str
+    recording: str
+    output: str
+    fit_percent: float
+    infinity_norm: float
+    unit: str
+    residual_p: float | None
+    residuals_white: bool | None
+    residuals_follow: tuple[str, ...]
+    minimum_percent: float | None
+
+    @property
+    def missed(self) -> bool:
+        """Whether the fit stays below the minimum asked for."""
+        return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
+
+
+def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
+    """Put the rows of one fit side by side."""
+    outputs = tuple(dict.fromkeys(row.output for row in rows))
+    first = rows[:: len(outputs)]
+    known = [job.experiment.recordings[row.recording].conditions for row in first]
+    shape = (len(first), len(outputs))
+    return ValidationScores(
+        tuple(row.model for row in first),
+        tuple(row.recording for row in first),
+        np.array([conditions.get("pressure_bar", np.nan) for conditions in known]),
+        np.array([conditions.get("speed_rpm", np.nan) for conditions in known]),
+        outputs,
+        tuple(row.unit for row in rows[: len(outputs)]),
+        np.array([row.fit_percent for row in rows]).reshape(shape),
+        np.array([row.infinity_norm for row in rows]).reshape(shape),
+    )
+
+
+def write_rows(rows: Sequence[CrossvalRow], key: str, part: Path) -> None:
+    """Write the CSV table of a fit's cross-validation."""
+    with part.open("w", encoding="utf-8", newline="") as handle:
+        handle.write("# fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; ")
+        handle.write("infinity_norm: largest |y - yhat|\n")
+        handle.write("# residual_p: probability of less white residuals if they were white, empty where not tested; ")
+        handle.write("residuals_follow: inputs still to be found in them\n")
+        handle.write(f"# content_key: {key}\n")
+        writer = csv.writer(handle, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        writer.writerows([_cell(getattr(row, column)) for column in COLUMNS] for row in rows)
+
+
+def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
+    """Read the CSV table of a fit's cross-validation."""
+    with path.open(encoding="utf-8", newline="") as handle:
+        table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
+    minimum = job.experiment.spec.crossval[name].minimum_percent
+    n_outputs = len({row["output"] for row in table})
+    rows = []
+    for row in table:
+        p = float(row["residual_p"]) if row["residual_p"] else None
+        rows.append(
+            CrossvalRow(
+                name,
+                row["model"],
+                row["recording"],
+                row["output"],
+                float(row["fit_percent"]),
+                float(row["infinity_norm"]),
+                row["unit"],
+                p,
+                None if p is None else p >= _LEVEL / n_outputs,
+                tuple(row["residuals_follow"].split()),
+                minimum,
+            )
+        )
+    return rows
+
+
+def _cell(value: Any) -> Any:
+    return " ".join(value) if isinstance(value, tuple) else value

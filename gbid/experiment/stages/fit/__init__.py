@@ -1,0 +1,1 @@
+"""Fits of a structure to recordings."""

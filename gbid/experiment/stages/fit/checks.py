@@ -1,0 +1,118 @@
+"""Checks of the fits of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+from gbid.errors import GbidError
+from gbid.experiment.experiment import Check, Experiment
+from gbid.experiment.problems import Found, Location, nearest
+from gbid.experiment.stages.fit.schema import FitSection
+from gbid.experiment.stages.fit.structures import make_structure, output_labels, structure_or_none
+from gbid.structure import Parameter, symbolic_matrices
+
+
+def structures_load(experiment: Experiment) -> Found:
+    """Structures are known, their files import, their matrices fit."""
+    for name in experiment.spec.fits:
+        try:
+            structure = make_structure(experiment, name)
+            symbolic_matrices(structure)
+        except GbidError as error:
+            key = "options" if "option" in str(error) else "structure"
+            yield ("fits", name, key), str(error)
+
+
+def fits_find_recordings(experiment: Experiment) -> Found:
+    """Fits name recordings that exist."""
+    for name, section in experiment.spec.fits.items():
+        for pattern in section.recordings or ():
+            if not experiment.matching((pattern,)):
+                yield (
+                    ("fits", name, "recordings"),
+                    f"no recording matches {pattern!r}; {nearest(pattern, experiment.recordings)}",
+                )
+        if section.recordings is None and experiment.recordings and not experiment.fit_recordings(name):
+            yield ("fits", name), "there are no excited recordings; name the recordings to fit"
+
+
+def parameters_are_known(experiment: Experiment) -> Found:
+    """Names of parameters are those of the structure; start values, fixed values and bounds fit together."""
+    for name, section in experiment.spec.fits.items():
+        structure = structure_or_none(experiment, name)
+        if structure is None:
+            continue
+        known = {q.name: q for q in structure.parameters}
+        offsets = [f"offset_{label}" for label in output_labels(experiment, name, structure)] if section.offsets else []
+        given: dict[str, Collection[str]] = {
+            "start": section.start,
+            "fixed": section.fixed,
+            "bounds": section.bounds,
+            "prior": section.prior,
+            "local": section.local,
+        }
+        for key, parameters in given.items():
+            for parameter in parameters:
+                if key == "prior" and parameter.partition("[")[0] in offsets:
+                    continue
+                if (parameter.partition("[")[0] if key == "prior" else parameter) not in known:
+                    where = ("fits", name, key, parameter)
+                    yield where, f"no parameter of {structure.name}; {nearest(parameter, known)}"
+                elif key != "fixed" and parameter.partition("[")[0] in section.fixed:
+                    yield ("fits", name, key, parameter), "the parameter is fixed; remove one of the two"
+        yield from _bounds_hold(name, section, known)
+
+
+def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
+    """Bounds are in order and hold the start values."""
+    for parameter, (low, high) in section.bounds.items():
+        where = ("fits", name, "bounds", parameter)
+        lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
+        if not lower < upper:
+            yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
+        elif parameter in known:
+            start = section.start.get(parameter, known[parameter].start)
+            if start is not None and not lower <= start <= upper:
+                yield where, f"the bounds exclude the start value {start:g}; widen them or give another start"
+    for parameter, start in section.start.items():
+        if parameter in known and parameter not in section.bounds:
+            lower, upper = known[parameter].lower, known[parameter].upper
+            if not lower <= start <= upper:
+                where = ("fits", name, "start", parameter)
+                yield where, f"{start:g} lies outside the bounds {lower:g} to {upper:g}; give bounds as well"
+
+
+def signals_are_there(experiment: Experiment) -> Found:
+    """Each recording of a fit has the signals and channels that the fit needs."""
+    for name, section in experiment.spec.fits.items():
+        structure = structure_or_none(experiment, name)
+        if structure is None:
+            continue
+        for key, given, own in (
+            ("inputs", section.inputs, structure.inputs),
+            ("outputs", section.outputs, structure.outputs),
+        ):
+            where: Location = ("fits", name, key) if given else ("fits", name)
+            for wanted in given or own:
+                yield from ((where, text) for text in _missing(experiment, name, wanted))
+
+
+def _missing(experiment: Experiment, fit: str, wanted: str) -> Iterator[str]:
+    signal, _, channel = wanted.partition(".")
+    for planned in experiment.fit_recordings(fit):
+        if signal not in planned.signals:
+            yield f"recording {planned.name!r} has no signal {signal!r}; {nearest(signal, planned.signals)}"
+            return
+        if channel and channel not in planned.signals[signal]:
+            there = nearest(channel, planned.signals[signal])
+            yield f"recording {planned.name!r}: signal {signal!r} has no channel {channel!r}; {there}"
+            return
+
+
+FIT_CHECKS: tuple[Check, ...] = (
+    structures_load,
+    fits_find_recordings,
+    parameters_are_known,
+    signals_are_there,
+)
+"""Checks of the fits."""

@@ -1,0 +1,128 @@
+"""Checks of what the options of a fit mean together with its structure and recordings."""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from gbid.errors import GbidError
+from gbid.experiment.experiment import Check, Experiment
+from gbid.experiment.problems import Found, Location, nearest
+from gbid.experiment.stages.fit.structures import output_labels, structure_or_none
+from gbid.structure import Matrices, Structure, symbolic_matrices
+
+
+def focus_sees_options(experiment: Experiment) -> Found:
+    """Horizons are for predictions; parameters with a prior, or local ones, are seen by the focus."""
+    for name, section in experiment.spec.fits.items():
+        if section.focus != "simulation":
+            continue
+        if section.horizon > 1:
+            yield ("fits", name, "horizon"), "a horizon is for focus: prediction; a simulation looks ahead without end"
+        known = _matrices(experiment, name)
+        if known is None:
+            continue
+        p, matrices, structure = known
+        dark = _only_in_gain(p, matrices, structure)
+        for key, given in (("prior", section.prior), ("local", section.local)):
+            for parameter in given:
+                if parameter.partition("[")[0] in dark:
+                    yield ("fits", name, key, parameter), "a simulation does not see the disturbance gain; remove it"
+
+
+def vectors_have_their_length(experiment: Experiment) -> Found:
+    """There is one weight for each output, and one number for each state."""
+    for name, section in experiment.spec.fits.items():
+        known = _matrices(experiment, name)
+        if known is None:
+            continue
+        _, matrices, structure = known
+        labels = output_labels(experiment, name, structure)
+        weights, state = section.output_weights, section.initial_state
+        if weights is not None and labels and len(weights) != len(labels):
+            there = ", ".join(labels)
+            yield ("fits", name, "output_weights"), f"{len(weights)} weights for {len(labels)} outputs: {there}"
+        if weights is not None and section.criterion == "det":
+            yield (
+                ("fits", name, "output_weights"),
+                "are for criterion: trace; det weighs outputs by their errors",
+            )
+        if not isinstance(state, str) and len(state) != matrices.A.shape[0]:
+            yield (
+                ("fits", name, "initial_state"),
+                f"{len(state)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
+            )
+
+
+def local_parameters_have_groups(experiment: Experiment) -> Found:
+    """Local parameters are for a fit to several recordings, those local to a point for recordings that state it."""
+    for name, section in experiment.spec.fits.items():
+        planned = experiment.fit_recordings(name)
+        if section.local and (not section.together or len(planned) < 2):
+            yield (
+                ("fits", name, "local"),
+                "is for a fit to several recordings at once; write together: true",
+            )
+            continue
+        for parameter, scope in section.local.items():
+            silent = [q.name for q in planned if not {"pressure_bar", "speed_rpm"} <= set(q.conditions)]
+            if scope == "operating_point" and silent:
+                yield (
+                    ("fits", name, "local", parameter),
+                    f"recording {silent[0]!r} states no pressure_bar and speed_rpm; add conditions",
+                )
+
+
+def stretches_left_out_exist(experiment: Experiment) -> Found:
+    """Stretches that are left out lie within recordings of the fit."""
+    rig = experiment.spec.rig
+    for name, section in experiment.spec.fits.items():
+        used = {q.name: q for q in experiment.fit_recordings(name)}
+        for recording, stretches in section.left_out.items():
+            where: Location = ("fits", name, "left_out", recording)
+            if recording not in used:
+                yield where, f"no recording of this fit; {nearest(recording, used)}"
+                continue
+            for i, (begin, end) in enumerate(stretches):
+                if end <= begin:
+                    yield (*where, i), f"{end:g} s is not after {begin:g} s; make it larger"
+                elif rig is not None and used[recording].imported is None and end > rig.duration_s:
+                    yield (
+                        (*where, i),
+                        f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there",
+                    )
+        known = _matrices(experiment, name)
+        if known is not None and section.left_out and section.horizon > 1 and section.focus == "prediction":
+            p, matrices, structure = known
+            dark = _only_in_gain(p, matrices, structure)
+            if matrices.K.nnz() and not set(dark) <= set(section.fixed):
+                yield (
+                    ("fits", name, "left_out"),
+                    "goes with a horizon of 1 only, or without a disturbance gain; choose one",
+                )
+
+
+def _matrices(experiment: Experiment, fit: str) -> tuple[ca.SX, Matrices, Structure] | None:
+    """Symbolic matrices, None when another check complains of the structure."""
+    structure = structure_or_none(experiment, fit)
+    if structure is None:
+        return None
+    try:
+        return (*symbolic_matrices(structure), structure)
+    except GbidError:
+        return None
+
+
+def _only_in_gain(p: ca.SX, matrices: Matrices, structure: Structure) -> list[str]:
+    """Parameters that the disturbance gain alone holds."""
+    rest = ca.vertcat(*(ca.vec(ca.densify(m)) for letter, m in matrices._asdict().items() if letter != "K"))
+    seen = ca.which_depends(rest, p, 1, False)
+    return [q.name for q, there in zip(structure.parameters, seen, strict=True) if not there]
+
+
+OPTION_CHECKS: tuple[Check, ...] = (
+    focus_sees_options,
+    vectors_have_their_length,
+    local_parameters_have_groups,
+    stretches_left_out_exist,
+)
+"""Checks of the options of fits."""

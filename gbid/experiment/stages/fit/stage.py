@@ -1,0 +1,186 @@
+"""Stage that fits: one model per recording, or one for all of them together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy.typing as npt
+
+from gbid.errors import DataError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key
+from gbid.experiment.recordings import refuse_bad_signals
+from gbid.experiment.run.inputs import check_made
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.fit.plan import fit_models, recordings_of
+from gbid.experiment.stages.fit.structures import make_structure, structure_settings
+from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
+from gbid.hdf5 import read_attribute, read_dataset, reading
+from gbid.identify import FitResult, MultiStart, fit, fit_multistart, load_fit, save_fit
+from gbid.identify.store import KIND
+from gbid.recording import ProblemKind, Recording
+
+FOLDER = "fits"
+_OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
+_AS_THEY_ARE = (
+    *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
+    *("engine", "start", "fixed", "local", "offsets", "initial_state"),
+)
+
+
+def run_fits(job: Job, only: str | None = None) -> list[Outcome]:
+    """Write ``fits/<fit>/<recording>.h5``, or ``together.h5`` for a fit to all its recordings.
+
+    A fit that does not converge is written, and its outcome says so. A recording that cannot be fitted does not
+    stop the others.
+
+    Parameters
+    ----------
+    job : Job
+    only : str, optional
+        Name of the one fit to run.
+    """
+    return run_tasks(job, fit_tasks(job, only))
+
+
+def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
+    """List the tasks of all fits, or of the one named."""
+    tasks = []
+    for name in job.experiment.spec.fits if only is None else [only]:
+        for model, recordings in fit_models(job.experiment, name).items():
+            path, key = fit_path(job, name, model), fit_key(job.experiment, name, recordings)
+            tasks.append(Task("fit", f"{name}/{model}", path, key, _write_fit, tuple(recordings), read_fit_summary))
+    return tasks
+
+
+def read_fit_summary(path: Path) -> Made:
+    """Read status and smallest fit of a result that is there.
+
+    Raises
+    ------
+    DataError
+        When the file is damaged.
+    """
+    with reading(path, KIND) as file:
+        percent = read_dataset(file, "fit_percent")
+        return Made(str(read_attribute(file, "status")), bool(read_attribute(file, "success")), _smallest(percent))
+
+
+def fit_path(job: Job, name: str, model: str) -> Path:
+    """Path of a fit's result."""
+    return job.path(f"{FOLDER}/{name}", model)
+
+
+def load_made_fit(job: Job, name: str, model: str) -> FitResult:
+    """Read the result of a fit that was made from the present settings.
+
+    Raises
+    ------
+    DataError
+        When it is not there, or was made from other settings.
+    """
+    recordings = recordings_of(job.experiment, name, model)
+    path = fit_path(job, name, model)
+    check_made(path, fit_key(job.experiment, name, recordings), "gbid fit")
+    return load_fit(path)
+
+
+def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
+    """Content key of a fit to recordings."""
+    section = experiment.spec.fits[name]
+    settings = section.model_dump(exclude={"structure", "options", "recordings", "together"})
+    settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
+    settings["structure"] = structure_settings(experiment, name)
+    settings["recordings"] = recordings
+    return content_key("fit", settings, [fit_input_key(experiment, experiment.recordings[r]) for r in recordings])
+
+
+def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
+    """Keyword arguments of `gbid.fit` that a fit section gives for recordings."""
+    section = experiment.spec.fits[name]
+    hold = section.intersample
+    return {
+        **{key: getattr(section, key) for key in _AS_THEY_ARE},
+        "intersample": hold[0] if hold and len(hold) == 1 else hold,
+        "bounds": {
+            key: (-inf if low is None else low, inf if high is None else high)
+            for key, (low, high) in section.bounds.items()
+        },
+        "prior": {key: (known.value, known.std) for key, known in section.prior.items()},
+        "left_out": {
+            recording.name: [samples_of(recording, *stretch) for stretch in section.left_out[recording.name]]
+            for recording in data
+            if recording.name in section.left_out
+        },
+    }
+
+
+def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, int]:
+    """First sample at or after a time, and first one at or after another.
+
+    Raises
+    ------
+    DataError
+        When no sample lies between them, or the end lies beyond the recording.
+    """
+    first, stop = (math.ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
+    if stop > recording.n_samples:
+        raise DataError(
+            f"left_out: recording {recording.name!r} ends at {recording.n_samples * recording.sample_time:g} s, "
+            f"before {to_s:g} s; make the stretch end there"
+        )
+    if stop <= first:
+        raise DataError(
+            f"left_out: recording {recording.name!r} has no sample from {from_s:g} s to before {to_s:g} s; widen it"
+        )
+    return first, stop
+
+
+def _write_fit(job: Job, item: str, part: Path) -> Made:
+    name, _, model = item.partition("/")
+    structure = make_structure(job.experiment, name)
+    section = job.experiment.spec.fits[name]
+    used = [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
+    data = []
+    for recording in recordings_of(job.experiment, name, model):
+        planned = job.experiment.recordings[recording]
+        data.append(load_fit_input(job, planned))
+        # What was prefiltered was looked at then; here only whether its channels carry anything.
+        refuse_bad_signals(planned, data[-1], used, kinds=_OWN_KINDS if job.experiment.spec.prefilter else None)
+    arguments = fit_arguments(job.experiment, name, data)
+    if section.multi_start is None:
+        result = fit(structure, data, progress=job.reporter.iteration, **arguments)
+    else:
+        asked = section.multi_start.model_dump()
+        found = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments)
+        result = _with_starts(found, section.multi_start.seed)
+    save_fit(result, part, overwrite=True)
+    return Made(result.status, result.success, _smallest(result.fit_percent))
+
+
+def _smallest(percent: npt.NDArray[Any]) -> float:
+    return float(percent.min()) if percent.size else math.nan
+
+
+def _with_starts(found: MultiStart, seed: int) -> FitResult:
+    """Return the best of several fits, which remembers how the others ended."""
+    told = {
+        "starts": str(len(found.losses)),
+        "starts_seed": str(seed),
+        "starts_converged": str(int(found.converged.sum())),
+        "starts_agreed": str(found.same_optimum),
+        "starts_spread": f"{found.spread:.6g}",
+    }
+    return replace(found.best, options={**found.best.options, **told})
+
+
+def model_key(experiment: Experiment, name: str, model: str) -> str:
+    """Content key of a model of a fit."""
+    return fit_key(experiment, name, fit_models(experiment, name)[model])

@@ -1,0 +1,104 @@
+"""From the name of a structure in the YAML to the structure, and what the rig knows of its true values."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from typing import Any
+
+from gbid.errors import GbidError, UsageError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.problems import nearest
+from gbid.experiment.stages.fit.schema import StructureOptions
+from gbid.structure import (
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    Structure,
+    load_structure,
+)
+
+
+def _rotor_bearing(options: dict[str, Any]) -> Structure:
+    return RotorBearing(**options)
+
+
+def _piezo_pair(options: dict[str, Any]) -> Structure:
+    return PiezoPair(**options)
+
+
+def _plant(options: dict[str, Any]) -> Structure:
+    return Plant(RotorBearing(**options))
+
+
+_OF_BEARING = ("delay", "pade_order", "disturbance_gain")
+
+BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]]] = {
+    "rotor_bearing": (_rotor_bearing, _OF_BEARING),
+    "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
+    "plant": (_plant, _OF_BEARING),
+}
+"""Structures that come with gbid: how each is built, and which options it has."""
+
+
+def make_structure(experiment: Experiment, fit: str) -> Structure:
+    """Build the structure of a fit.
+
+    Raises
+    ------
+    UsageError
+        For an unknown name, an option that the structure does not have, or a file that does not give one.
+    """
+    spec = experiment.spec.fits[fit]
+    options = _given_options(spec.options)
+    if spec.structure in BUILT_IN:
+        build, known = BUILT_IN[spec.structure]
+        unknown = [key for key in options if key not in known]
+        if unknown:
+            raise UsageError(f"{spec.structure} has no option {unknown[0]}; {nearest(unknown[0], known)}")
+        if options.get("delay") == "exact" and "pade_order" in options:
+            raise UsageError("option pade_order is for delay: pade; remove one of the two")
+        return build(options)
+    if ":" not in spec.structure:
+        hint = nearest(spec.structure, BUILT_IN)
+        raise UsageError(f"no structure {spec.structure!r}; {hint} (or name one of your own as file.py:name)")
+    if options:
+        raise UsageError(f"options are for {', '.join(BUILT_IN)}; {spec.structure} has none: remove them")
+    return load_structure(spec.structure, experiment.folder_of(spec.structure.rpartition(":")[0]))
+
+
+def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
+    """Return what decides the structure, for its content key: name and options, or the text of its file."""
+    spec = experiment.spec.fits[fit]
+    file = spec.structure.rpartition(":")[0]
+    settings: dict[str, Any] = {"name": spec.structure, "options": _given_options(spec.options)}
+    if file:
+        text = (experiment.folder_of(file) / file).read_bytes()
+        settings["file_sha256"] = hashlib.sha256(text).hexdigest()
+    return settings
+
+
+def _given_options(options: StructureOptions) -> dict[str, Any]:
+    return {key: value for key, value in options if value is not None}
+
+
+def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
+    """Return the structure, None when another check complains of it."""
+    try:
+        return make_structure(experiment, fit)
+    except GbidError:
+        return None
+
+
+def output_labels(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
+    """Names of the output channels of a fit, as ``p_x``; empty when its first recording does not have them."""
+    labels: list[str] = []
+    planned = experiment.fit_recordings(fit)
+    for wanted in experiment.spec.fits[fit].outputs or structure.outputs:
+        signal, _, channel = wanted.partition(".")
+        there = planned[0].signals.get(signal, ()) if planned else ()
+        if not there:
+            return []
+        picked = [channel] if channel else there
+        labels += [f"{signal}_{name}" if len(there) > 1 else signal for name in picked]
+    return labels

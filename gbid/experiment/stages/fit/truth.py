@@ -1,0 +1,70 @@
+"""What the rig knows of the true values of a fit's parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.stages.rig.model import rig_model, true_parameters
+from gbid.rig import RotorBearingTruth, scatter_random, scattered
+from gbid.structure import (
+    KEY_PARAMETERS,
+    LinearModel,
+    PiezoPair,
+    Plant,
+    RotorBearing,
+    Structure,
+    evaluate,
+)
+
+
+def true_values(experiment: Experiment, recordings: Sequence[str], structure: Structure) -> dict[str, float]:
+    """Give the true values of a structure's parameters, if the recordings come from the rig at one operating point.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    recordings : sequence of str
+        Names of the recordings of a fit.
+    structure : Structure
+
+    Returns
+    -------
+    dict of str to float
+        Of the parameters that the rig knows; empty when there is no truth to compare with.
+    """
+    planned = [experiment.recordings[name] for name in recordings]
+    points = {tuple(sorted(q.conditions.items())) for q in planned}
+    if len(points) != 1 or any(q.imported for q in planned) or not _is_built_in(structure):
+        return {}
+    known = _as_drawn(experiment, planned)
+    return {q.name: known[q.name] for q in structure.parameters if q.name in known}
+
+
+def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
+    """Give what is true of all these recordings: scatter moves each rotor, nonlinear stacks have no Table 2."""
+    rig = experiment.spec.rig
+    assert rig is not None
+    known = true_parameters(rig_model(experiment), planned[0])
+    if rig.actuators.kind == "stacks":
+        known = {name: value for name, value in known.items() if name in KEY_PARAMETERS}
+    if rig.scatter is None:
+        return known
+    if len({q.name for q in planned}) > 1:
+        return {name: value for name, value in known.items() if name not in KEY_PARAMETERS}
+    random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
+    drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter.as_scatter(), random)
+    return {**known, **drawn.key_parameters()}
+
+
+def true_model(structure: Structure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
+    """Return the structure at its true values, None when it has none; disturbance gains do not matter to it."""
+    values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
+    if not truth or any(q.name not in values for q in structure.parameters):
+        return None
+    return evaluate(structure, values, like.input_names, like.output_names)
+
+
+def _is_built_in(structure: Structure) -> bool:
+    return isinstance(structure, RotorBearing | PiezoPair | Plant)

@@ -1,0 +1,1 @@
+"""Hammer impacts on the rig, open and closed loop."""

@@ -1,0 +1,237 @@
+"""Stage of the impacts (paper, Sec. 5.1): hammer on the rig, open and closed loop, ring-downs, force scaling."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.characterise.store import write_csv
+from gbid.control.impact.impact_store import load_impacts, mode_rows, response_rows, save_impacts
+from gbid.control.impact.study import ImpactStudy, study_impacts
+from gbid.errors import GbidError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key
+from gbid.experiment.run.inputs import load_checked
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.impact.plan import (
+    ImpactRecording,
+    LoopController,
+    controller_at,
+    expecting_model,
+    hammer_of,
+    impacts_section,
+    planned_impacts,
+    study_name,
+)
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options
+from gbid.recording import Recording, save_recording
+from gbid.rig import Machine, SampledController, Stationary, record
+
+FOLDER = "impacts"
+RECORDINGS = "impacts/recordings"
+_ZEROING_S = 0.5
+
+
+def run_impacts(job: Job) -> list[Outcome]:
+    """Write ``impacts/<point>_<loop>.h5``, the recordings they are made from, ``impacts.csv`` and ``responses.csv``.
+
+    Returns
+    -------
+    list of Outcome
+        Empty without a section ``impacts``. A further loop whose controller is not there failed; the others are run.
+
+    Raises
+    ------
+    UsageError
+        When the model or the controller of the closed loop is not there, or a result made from other settings may not
+        be replaced.
+    """
+    if job.experiment.spec.impacts is None:
+        return []
+    idle = [
+        Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input")
+        for loop, why in loops_without_controller(job.experiment).items()
+    ]
+    for outcome in idle:
+        job.reporter.end(outcome)
+    outcomes = run_tasks(job, recording_tasks(job))
+    studies = run_tasks(job, study_tasks(job))
+    there = [o.item for o in studies if o.state != "failed"]
+    return [*idle, *outcomes, *studies, *(run_tasks(job, _csv_tasks(job, there)) if there else [])]
+
+
+def recording_tasks(job: Job) -> list[Task]:
+    """List the recordings with impacts, without those of loops whose controller is not there."""
+    return [
+        Task(
+            "impact",
+            name,
+            job.path(RECORDINGS, name),
+            recording_key(job.experiment, planned),
+            _write_recording,
+            (name,),
+        )
+        for name, planned in _runnable(job.experiment).items()
+    ]
+
+
+def study_tasks(job: Job) -> list[Task]:
+    """List the studies, one for each operating point and loop."""
+    tasks = []
+    for name, group in _studies(job.experiment).items():
+        names = tuple(q.planned.name for q in group)
+        key = study_key(job.experiment, group)
+        tasks.append(Task("ringdown", name, job.path(FOLDER, name), key, _write_study, names, read=_read_made))
+    return tasks
+
+
+def loops_without_controller(experiment: Experiment) -> dict[str, str]:
+    """Give the further loops whose controller is not there or cannot be read, and why.
+
+    Raises
+    ------
+    UsageError
+        When there is no section ``impacts``.
+    """
+    section, found = impacts_section(experiment), {}
+    for loop in section.beside:
+        try:
+            for point in section.operating_points:
+                controller_at(experiment, point, loop)
+        except GbidError as error:
+            found[loop] = str(error)
+    return found
+
+
+def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
+    """Load the studies that are there, by name."""
+    return {o.item: load_impacts(o.path) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
+
+
+def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
+    """Content key of a recording with impacts."""
+    section, rig = impacts_section(experiment), experiment.spec.rig
+    assert rig is not None
+    settings: dict[str, Any] = {
+        **as_settings(record_options(experiment, impact.planned)),
+        "experiment": {"hammer": asdict(hammer_of(section, impact.axis, rig.sample_time_s))},
+        "machine": asdict(machine_at(experiment, impact.planned, rig_model(experiment))),
+        "controller": _controller(experiment, impact).key if impact.loop != "open" else "",
+    }
+    return content_key("impact", settings)
+
+
+def study_key(experiment: Experiment, group: list[ImpactRecording]) -> str:
+    """Content key of a study."""
+    section = impacts_section(experiment)
+    settings = {
+        "harmonics": section.harmonics,
+        "lags": section.lags,
+        "model": expecting_model(experiment)[1],
+        "loop": group[0].loop,
+    }
+    return content_key("ringdown", settings, [recording_key(experiment, q) for q in group])
+
+
+def _runnable(experiment: Experiment) -> dict[str, ImpactRecording]:
+    idle = loops_without_controller(experiment)
+    return {name: impact for name, impact in planned_impacts(experiment).items() if impact.loop not in idle}
+
+
+def _studies(experiment: Experiment) -> dict[str, list[ImpactRecording]]:
+    found: dict[str, list[ImpactRecording]] = {}
+    for impact in _runnable(experiment).values():
+        found.setdefault(study_name(impact.point, impact.loop), []).append(impact)
+    return found
+
+
+def _controller(experiment: Experiment, impact: ImpactRecording) -> LoopController:
+    return controller_at(experiment, impact.point, impact.loop)
+
+
+def _write_recording(job: Job, name: str, part: Path) -> None:
+    experiment = job.experiment
+    impact, section, rig = planned_impacts(experiment)[name], impacts_section(experiment), experiment.spec.rig
+    assert rig is not None
+    machine, options = (
+        machine_at(experiment, impact.planned, rig_model(experiment)),
+        record_options(experiment, impact.planned),
+    )
+    running = None
+    if impact.loop != "open":
+        sampled = _controller(experiment, impact).sampled
+        matrices = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
+        A, B, C, D = matrices
+        zero = _zero(machine, options)
+        running = SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
+    hammer = hammer_of(section, impact.axis, rig.sample_time_s)
+    save_recording(record(machine, hammer, **options, controller=running), part, overwrite=True)
+
+
+def _zero(machine: Machine, options: dict[str, Any]) -> FloatArray:
+    """Position that the controller takes for zero: the mean of a still run just before, at the same shaft angle."""
+    still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
+    return np.asarray(still.signal("p").mean(axis=0))
+
+
+def _write_study(job: Job, name: str, part: Path) -> Made:
+    experiment, section = job.experiment, impacts_section(job.experiment)
+    group = _studies(experiment)[name]
+    recordings = [_made_recording(job, impact) for impact in group]
+    controller = _controller(experiment, group[0]) if group[0].loop != "open" else None
+    study = study_impacts(
+        recordings,
+        expecting_model(experiment)[0],
+        None if controller is None else controller.continuous,
+        None if controller is None else controller.sampled,
+        harmonics=section.harmonics,
+        lags=section.lags,
+        loop=group[0].loop,
+    )
+    save_impacts(study, part, overwrite=True)
+    return _made(study)
+
+
+def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
+    path = job.path(RECORDINGS, impact.planned.name)
+    return load_checked(path, recording_key(job.experiment, impact), "gbid impact")
+
+
+def _made(study: ImpactStudy) -> Made:
+    text = "; ".join([study.ringdown.status, *study.ringdown.notes])
+    # a loop may damp so well that nothing oscillates; that is an answer
+    return Made(
+        text, study.ringdown.success or study.ringdown.aperiodic, min(v.along_percent for v in study.validations)
+    )
+
+
+def _read_made(path: Path) -> Made:
+    return _made(load_impacts(path))
+
+
+def _csv_tasks(job: Job, names: list[str]) -> list[Task]:
+    key = _csv_key(job, names)
+    return [
+        Task("impact table", ",".join([word, *names]), job.path(FOLDER, word, ".csv"), key, _write_csv)
+        for word in ("impacts", "responses")
+    ]
+
+
+def _csv_key(job: Job, names: list[str]) -> str:
+    studies = _studies(job.experiment)
+    return content_key("impact csv", {"names": names}, [study_key(job.experiment, studies[name]) for name in names])
+
+
+def _write_csv(job: Job, item: str, part: Path) -> None:
+    word, *names = item.split(",")
+    studies = [load_impacts(job.path(FOLDER, name)) for name in names]
+    rows = [row for study in studies for row in (mode_rows(study) if word == "impacts" else response_rows(study))]
+    write_csv(part, rows, f"content_key: {_csv_key(job, names)}")

@@ -1,0 +1,1 @@
+"""Recordings imported from files."""

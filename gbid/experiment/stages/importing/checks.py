@@ -1,0 +1,38 @@
+"""What the import section means: its files are there, and its mappings make sense."""
+
+from __future__ import annotations
+
+from gbid.errors import DataError, UsageError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.problems import Found
+from gbid.experiment.stages.importing.plan import data_file, mapping_of
+from gbid.recording import ImportMapping
+from gbid.recording.importers.importing import READERS
+
+
+def data_can_be_read(experiment: Experiment) -> Found:
+    """Import: data files are there and the mappings make sense; what the files hold is looked at later."""
+    section = experiment.spec.imported
+    if section is None:
+        return
+    folder = experiment.folder / section.data_folder
+    if not folder.is_dir():
+        yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
+    yield from experiment.imports.problems
+    told: set[str] = set()
+    for found in experiment.imports.files:
+        entry, here = found.entry, found.location
+        path = data_file(experiment, entry)
+        listed = "recordings" in here
+        if not listed and str(here) in told:
+            continue  # all files of a folder share one mapping
+        told.add(str(here))
+        here_file = (*here, "file") if listed else here
+        if path.suffix.lower() not in READERS:
+            yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(READERS)}"
+        elif folder.is_dir() and not path.is_file():
+            yield here_file, f"no file {path}; put it there, or correct the name or data_folder"
+        try:
+            ImportMapping.from_dict(mapping_of(entry))
+        except (UsageError, DataError) as error:
+            yield here if listed else here[:2], str(error)

@@ -1,0 +1,117 @@
+"""Stage that imports recordings from files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from gbid.errors import DataError, GbidError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key, file_digest
+from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.recordings import recording_task, refuse_bad_signals, used_channels
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.importing.plan import data_file, mapping_of
+from gbid.recording import (
+    Recording,
+    find_group_problems,
+    import_recording,
+    save_recording,
+)
+
+
+def import_recordings(job: Job) -> list[Outcome]:
+    """Read the recordings of the import section into ``recordings/<name>.h5``; none without that section."""
+    return run_tasks(job, import_tasks(job))
+
+
+def import_tasks(job: Job) -> list[Task]:
+    """List the tasks of the import section, one for each recording."""
+    return [
+        recording_task(job, "import", planned, _write_import)
+        for planned in job.experiment.recordings.values()
+        if planned.imported is not None
+    ]
+
+
+def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
+    """Read one recording from its file and refuse it when a signal that a fit uses carries nothing.
+
+    Raises
+    ------
+    DataError
+        When the file does not hold what the mapping says, an earlier recording holds the same samples, or something is
+        wrong with a signal that a fit uses.
+    UsageError
+        When units do not fit.
+    """
+    assert planned.imported is not None
+    file = data_file(experiment, planned.imported)
+    refuse_same_content(experiment, planned)
+    recording = import_recording(file, mapping_of(planned.imported))
+    refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file)
+    if not planned.imported.remove_mean:
+        return recording
+    centred = {name: values - values.mean(axis=0) for name, values in recording.signals.items()}
+    provenance = {**recording.provenance, "remove_mean": "mean of each signal removed"}
+    return replace(recording, signals=centred, provenance=provenance)
+
+
+def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording, str, int]]:
+    """Read all recordings of the import section and tell what is wrong with each, alone and beside the others.
+
+    Returns
+    -------
+    list of (PlannedRecording, text, exit code)
+    """
+    found: list[tuple[PlannedRecording, str, int]] = []
+
+    def readable() -> Iterator[Recording]:
+        for planned in experiment.recordings.values():
+            if planned.imported is not None:
+                try:
+                    yield replace(read_import(experiment, planned), name=planned.name)
+                except GbidError as error:
+                    found.append((planned, str(error), error.exit_code))
+
+    beside = find_group_problems(readable())
+    for name, problems in beside.items():
+        found += [(experiment.recordings[name], problem.text, DataError.exit_code) for problem in problems]
+    return found
+
+
+def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:
+    """Refuse a recording that takes the same columns and samples from the same or a copied file as one before it.
+
+    Raises
+    ------
+    DataError
+        Naming the other recording.
+    """
+    mine = _content(experiment, planned)
+    for other in experiment.recordings.values():
+        if other.name == planned.name:
+            return
+        if other.imported is not None and _content(experiment, other) == mine:
+            raise DataError(
+                f"recording {planned.name!r} holds the same samples as {other.name!r}; leave one of them out, or "
+                "correct its file"
+            )
+
+
+def _content(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Digest of what a recording takes from its file, empty when the file cannot be read."""
+    assert planned.imported is not None
+    columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
+    taken = {"samples": planned.imported.samples, "signals": columns}
+    try:
+        return content_key("content", taken, [file_digest(data_file(experiment, planned.imported))])
+    except OSError:
+        return f"unreadable {planned.name}"
+
+
+def _write_import(job: Job, name: str, part: Path) -> None:
+    save_recording(read_import(job.experiment, job.experiment.recordings[name]), part, overwrite=True)

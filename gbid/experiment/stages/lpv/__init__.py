@@ -1,0 +1,1 @@
+"""Surfaces over pressure and speed through the fits."""

@@ -1,0 +1,48 @@
+"""Checks of the surfaces of an experiment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gbid.errors import GbidError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.problems import Found, Location, nearest
+from gbid.experiment.stages.fit.structures import structure_or_none
+from gbid.experiment.stages.lpv.plan import lpv_actuators
+from gbid.lpv.surface_fit.terms import check_points, chosen_exponents
+from gbid.structure import KEY_PARAMETERS
+
+
+def surfaces_can_be_drawn(experiment: Experiment) -> Found:
+    """Surfaces: the fit exists and has the key parameters, and its operating points carry the order."""
+    section = experiment.spec.lpv
+    if section is None:
+        return
+    where: Location = ("lpv", "fit")
+    if section.fit not in experiment.spec.fits:
+        yield where, f"no fit of this name; {nearest(section.fit, experiment.spec.fits)}"
+        return
+    if experiment.spec.fits[section.fit].together:
+        yield where, f"{section.fit} is one model for all recordings; name a fit per recording"
+    structure = structure_or_none(experiment, section.fit)
+    missing = [n for n in KEY_PARAMETERS if n not in {q.name for q in structure.parameters}] if structure else []
+    if missing:
+        yield where, f"{section.fit} has no parameters {', '.join(missing)}; name a fit of rotor_bearing or plant"
+    try:
+        lpv_actuators(experiment, section)
+    except GbidError as error:
+        yield ("lpv", "actuators"), str(error)
+    if section.robust and section.weighting == "fits":
+        yield ("lpv", "robust"), "needs weighting: scatter or ordinary"
+    points = []
+    for planned in experiment.fit_recordings(section.fit):
+        point = [planned.conditions.get(key) for key in ("pressure_bar", "speed_rpm")]
+        if None in point:
+            yield where, f"recording {planned.name!r} states no pressure_bar and speed_rpm; surfaces need both"
+            return
+        points.append([float(v) for v in point if v is not None])
+    if points and section.order != "auto":
+        try:
+            check_points(np.array(points), chosen_exponents(section.order))
+        except GbidError as error:
+            yield ("lpv", "order"), str(error)

@@ -1,0 +1,1 @@
+"""The nominal actuator: the most central of many models."""

@@ -1,0 +1,1 @@
+"""Prefilter: run-out, offset and spikes are taken out of the recordings."""

@@ -1,0 +1,31 @@
+"""What the prefilter section means: run-out maps can be made."""
+
+from __future__ import annotations
+
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.problems import Found
+
+
+def runout_maps_can_be_made(experiment: Experiment) -> Found:
+    """Each operating point that is prefiltered has a stationary run, with position and angle."""
+    section = experiment.spec.prefilter
+    if section is None:
+        return
+    if section.median % 2 == 0:
+        yield ("prefilter", "median"), f"{section.median} is even; give an odd size, 1 for no median"
+    for planned in experiment.recordings.values():
+        if planned.excited and "p" not in planned.signals:
+            text = f"recording {planned.name!r} has no signal p, which the prefilter works on"
+            yield planned.location, f"{text}; name one so, or remove the section prefilter"
+    if section.method == "none":
+        return
+    still = {q.point for q in experiment.recordings.values() if q.stationary}
+    told: set[str] = set()
+    for planned in experiment.recordings.values():
+        if planned.excited and planned.point not in still | told:
+            told.add(planned.point)
+            yield (
+                ("prefilter",),
+                f"no stationary recording at {planned.point} (as {planned.name!r}), so no run-out map; "
+                "add one, or write method: none",
+            )

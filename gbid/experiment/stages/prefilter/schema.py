@@ -1,0 +1,20 @@
+"""What an experiment YAML may say of the prefilter."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, Strict
+
+from gbid.experiment.fields import Count, Section, Switch
+
+
+class PrefilterSection(Section):
+    """What is taken out of the excited recordings before the fits (paper, Sec. 3.5)."""
+
+    method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
+    align_index: Switch = False
+    harmonics: Count = 10
+    bins: Annotated[int, Strict(), Field(ge=4)] = 100
+    median: Count = 3
+    remove_mean: Switch = True

@@ -1,0 +1,199 @@
+"""Stage that prefilters (paper, Sec. 3.5): one run-out map per operating point, from its stationary runs."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals, used_channels
+from gbid.experiment.run.inputs import load_checked
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.prefilter.schema import PrefilterSection
+from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
+from gbid.prefilter.store import add_report, read_report
+from gbid.recording import Recording, save_recording
+
+FOLDER = "prefiltered"
+MAP_FOLDER = "prefilter"
+INDEX_OFF = np.deg2rad(10.0)
+"""Angle that a recording's run-out may be turned from the map's [rad] ..."""
+SURE = 5.0
+"""... and standard deviations of it, before the index counts as missed."""
+
+
+def prefilter_recordings(job: Job) -> list[Outcome]:
+    """Write ``prefiltered/<name>.h5`` for each excited recording and ``prefilter/<point>.h5`` with the maps.
+
+    Nothing without a prefilter section. A recording that cannot be prefiltered does not stop the others.
+    """
+    outcomes = run_tasks(job, prefilter_tasks(job))
+    failed = {outcome.item for outcome in outcomes if outcome.state == "failed"}
+    return [*outcomes, *run_tasks(job, map_tasks(job, failed))]
+
+
+def prefilter_tasks(job: Job) -> list[Task]:
+    """List the tasks of the prefilter section, one for each excited recording."""
+    if job.experiment.spec.prefilter is None:
+        return []
+    tasks = []
+    for planned in job.experiment.recordings.values():
+        if planned.excited:
+            path, key = job.path(FOLDER, planned.name), prefiltered_key(job.experiment, planned)
+            tasks.append(Task("prefilter", planned.name, path, key, _write_prefiltered, (planned.name,)))
+    return tasks
+
+
+def map_tasks(job: Job, without: Collection[str] = ()) -> list[Task]:
+    """List the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks.
+
+    Parameters
+    ----------
+    job : Job
+    without : collection of str
+        Recordings that could not be prefiltered.
+    """
+    section = job.experiment.spec.prefilter
+    if section is None:
+        return []
+    tasks = []
+    for point, excited in _by_point(job.experiment).items():
+        there = [planned for planned in excited if planned.name not in without]
+        if there:
+            keys = [prefiltered_key(job.experiment, planned) for planned in there]
+            key, names = content_key("map", section.model_dump(), keys), tuple(planned.name for planned in there)
+            path = job.path(MAP_FOLDER, point)
+            tasks.append(Task("prefilter", f"map {point}", path, key, _write_map, names))
+    return tasks
+
+
+def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Content key of a prefiltered recording."""
+    section = experiment.spec.prefilter
+    assert section is not None
+    sources = [recording_key(experiment, planned), *_stationary_keys(experiment, planned.point)]
+    return content_key("prefilter", {"name": planned.name, **section.model_dump()}, sources)
+
+
+def fit_input_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    """Content key of the recording that fits use: prefiltered when the experiment prefilters."""
+    if experiment.spec.prefilter is None:
+        return recording_key(experiment, planned)
+    return prefiltered_key(experiment, planned)
+
+
+def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
+    """Read the recording that fits use.
+
+    Raises
+    ------
+    DataError
+        When it is not there, or was made from other settings.
+    """
+    if job.experiment.spec.prefilter is None:
+        return load_made(job, planned)
+    key = prefiltered_key(job.experiment, planned)
+    return load_checked(job.path(FOLDER, planned.name), key, "gbid fit")
+
+
+def _write_prefiltered(job: Job, name: str, part: Path) -> None:
+    section, planned = job.experiment.spec.prefilter, job.experiment.recordings[name]
+    assert section is not None
+    try:
+        runout_map = _runout_map(job, planned.point)
+    except DataError as error:
+        raise type(error)(f"no run-out map: {error}") from None
+    raw = load_made(job, planned)
+    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name))
+    if runout_map is not None and runout_map.needs_angle:
+        refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
+        if section.align_index:
+            raw = align_index(runout_map, raw).apply(raw)
+        else:
+            _refuse_lost_index(runout_map, raw)
+    filtered, report = prefilter(raw, runout_map, median=section.median, remove_mean=section.remove_mean)
+    save_recording(filtered, part, overwrite=True)
+    add_report(part, report)
+
+
+def _refuse_lost_index(runout_map: RunoutMap, raw: Recording) -> None:
+    """Refuse a recording whose run-out is the map's, but turned: the map would add to it what it is to take out."""
+    try:
+        found = align_index(runout_map, raw)
+    except DataError:
+        return  # too short to tell
+    off = abs(np.angle(np.exp(1j * found.offset)))
+    if found.sure and off > max(INDEX_OFF, SURE * found.std):
+        raise DataError(
+            f"recording {raw.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but turned by "
+            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not count from the "
+            "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
+        )
+
+
+def _write_map(job: Job, item: str, part: Path) -> Made:
+    point = item.removeprefix("map ")
+    reports = []
+    for planned in (q for q in job.experiment.points[point] if q.excited):
+        path = job.path(FOLDER, planned.name)
+        if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
+            reports.append(read_report(path))
+    runout_map = _runout_map(job, point)
+    save_prefilter(part, runout_map, reports, overwrite=True)
+    return Made("; ".join(runout_map.notes) if runout_map else "")
+
+
+@lru_cache(maxsize=64)
+def _runout_map(job: Job, point: str) -> RunoutMap | None:
+    """Identify the map of an operating point: for its recordings, and once more when they are done."""
+    section = job.experiment.spec.prefilter
+    assert section is not None
+    if section.method == "none":
+        return None
+    still: list[Recording] = []
+    for planned in _stationary(job.experiment, point):
+        rec = load_made(job, planned)
+        refuse_bad_signals(planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time"))
+        if section.align_index and still:
+            rec = align_index(_identified(still[:1], section)[0], rec).apply(rec)
+        still.append(rec)
+    runout_map, words = _identified(still, section)
+    return replace(runout_map, notes=(*runout_map.notes, *words))
+
+
+def _identified(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
+    """Identify a map by the method asked for, and say what was chosen."""
+    if section.method != "auto":
+        return identify_runout(still, method=section.method, harmonics=section.harmonics, bins=section.bins), ()
+    compared = compare_runout(still)
+    chosen = compared.chosen
+    left = ", ".join(f"{1e9 * rms:.1f}" for rms in chosen.residual_rms)
+    size = "" if chosen.method == "mean" else f", {chosen.size}"
+    return compared.runout_map, (f"method auto: {chosen.method}{size}; it leaves {left} nm of what was held out",)
+
+
+def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
+    """Excited recordings by operating point."""
+    excited = {point: [q for q in there if q.excited] for point, there in experiment.points.items()}
+    return {point: there for point, there in excited.items() if there}
+
+
+def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
+    return [q for q in experiment.points.get(point, ()) if q.stationary]
+
+
+def _stationary_keys(experiment: Experiment, point: str) -> list[Any]:
+    section = experiment.spec.prefilter
+    if section is None or section.method == "none":
+        return []
+    return [recording_key(experiment, q) for q in _stationary(experiment, point)]

@@ -1,0 +1,148 @@
+"""What the rig section means: its model holds at the operating points, and the rig takes every value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from gbid.errors import GbidError, UsageError
+from gbid.experiment.experiment import Check, Experiment
+from gbid.experiment.problems import Found, Location, nearest
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.rig.plan import faults_of, machine_at, rig_experiment
+from gbid.experiment.stages.rig.schema import RigSection
+from gbid.operating_point import point_label
+from gbid.rig.excitation.prbs import whole_samples
+
+
+def rig_runs(experiment: Experiment) -> Found:
+    """Rig: its model loads and holds at each operating point; times are whole samples."""
+    rig = experiment.spec.rig
+    if rig is None:
+        return
+    try:
+        model = rig_model(experiment)
+    except GbidError as error:
+        yield ("rig", "model"), str(error)
+        return
+    if not model.actuators and rig.actuators.kind == "linear":
+        yield ("rig", "model"), f"model {model.name!r} has no actuators; the rig needs them: add them to its file"
+        return
+    inside = True
+    for i, point in enumerate(rig.operating_points):
+        for key in ("pressure_bar", "speed_rpm"):
+            value, (low, high) = getattr(point, key), getattr(model.domain, key)
+            if not low <= value <= high:
+                inside = False
+                yield (
+                    ("rig", "operating_points", i, key),
+                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
+                )
+    for location, seconds in _times(rig):
+        try:
+            whole_samples(str(location[-1]), seconds, rig.sample_time_s)
+        except UsageError as error:
+            yield location, str(error)
+    told: set[str] = set()
+    for planned in experiment.recordings.values():
+        if inside and planned.imported is None:
+            try:
+                machine_at(experiment, planned, model).rotor_bearing.check_stable()
+                rig_experiment(experiment, planned)
+            except UsageError as error:
+                if str(error) not in told:
+                    yield ("rig",), str(error)
+                told.add(str(error))
+
+
+def faults_name_recordings(experiment: Experiment) -> Found:
+    """Rig: faults are for recordings that are made, and say what is wrong."""
+    rig = experiment.spec.rig
+    for i, entry in enumerate(rig.faults if rig else ()):
+        here: Location = ("rig", "faults", i)
+        for pattern in entry.recordings:
+            if not any(q.imported is None for q in experiment.matching((pattern,))):
+                known = nearest(pattern, experiment.recordings)
+                yield (*here, "recordings"), f"no recording of the rig matches {pattern!r}; {known}"
+        try:
+            faults_of(entry)
+        except UsageError as error:
+            yield here, str(error)
+
+
+def stacks_are_there(experiment: Experiment) -> Found:
+    """Rig: what is asked of single stacks needs stacks."""
+    rig = experiment.spec.rig
+    if rig is None or rig.actuators.kind == "stacks":
+        return
+    if rig.stack_staircase is not None:
+        yield ("rig", "stack_staircase"), "needs single stacks; write actuators: {kind: stacks}"
+    if rig.actuators.record_stacks:
+        yield ("rig", "actuators", "record_stacks"), "needs single stacks; write kind: stacks"
+
+
+def staircases_are_somewhere(experiment: Experiment) -> Found:
+    """Rig: staircases that are for some operating points name such that are there."""
+    rig = experiment.spec.rig
+    there = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
+    for part in ("staircase", "stack_staircase"):
+        section = getattr(rig, part, None)
+        for i, place in enumerate((section.at if section else None) or ()):
+            if (place.pressure_bar, place.speed_rpm) not in there:
+                text = f"{point_label(place.pressure_bar, place.speed_rpm)} is no operating point of the rig; add it"
+                yield ("rig", part, "at", i), text
+
+
+def sizes_fit_the_clearance(experiment: Experiment) -> Found:
+    """Rig: no movement or noise is larger than the clearance, which a forgotten 1e-6 makes it."""
+    rig = experiment.spec.rig
+    for location in _SIZES if rig else ():
+        part, key = location
+        value = getattr(getattr(rig, part), key, 0.0)
+        assert rig is not None
+        largest = max(value) if isinstance(value, tuple) else value
+        if largest > rig.clearance_m:
+            text = (
+                f"{largest:g} m is more than the clearance of the bearing, {rig.clearance_m:g} m; "
+                "make it smaller (sizes are in metres)"
+            )
+            yield ("rig", *location), text
+
+
+_SIZES = (
+    ("prbs", "amplitude_m"),
+    ("staircase", "step_m"),
+    ("sensors", "noise_p_m"),
+    ("sensors", "noise_u_m"),
+    ("sensors", "resolution_p_m"),
+    ("sensors", "resolution_u_m"),
+    ("unbalance", "eccentricity_m"),
+    ("non_synchronous", "size_m"),
+)
+
+
+def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
+    """List the times that must be whole numbers of samples."""
+    yield ("rig", "duration_s"), rig.duration_s
+    if rig.settle_s:
+        yield ("rig", "settle_s"), rig.settle_s
+    yield ("rig", "prbs", "hold_s"), rig.prbs.hold_s
+    for part, key in (
+        ("stationary", "duration_s"),
+        ("staircase", "hold_s"),
+        ("stack_staircase", "hold_s"),
+        ("hammer", "duration_s"),
+        ("run_up", "duration_s"),
+    ):
+        seconds = getattr(getattr(rig, part), key, None)
+        if seconds is not None:
+            yield ("rig", part, key), seconds
+
+
+RIG_CHECKS: tuple[Check, ...] = (
+    rig_runs,
+    sizes_fit_the_clearance,
+    stacks_are_there,
+    staircases_are_somewhere,
+    faults_name_recordings,
+)
+"""Checks of the rig section."""

@@ -1,0 +1,34 @@
+"""The model behind the rig, and what is true at an operating point."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.plan import PlannedRecording
+from gbid.lpv import LPVModel, load_model
+
+
+@lru_cache(maxsize=4)
+def rig_model(experiment: Experiment) -> LPVModel:
+    """Load the model behind the rig: a name, or a YAML file relative to the experiment or the models folder.
+
+    Raises
+    ------
+    UsageError
+        When there is none, or its file is broken.
+    """
+    assert experiment.spec.rig is not None
+    name = experiment.spec.rig.model
+    if Path(name).suffix in (".yaml", ".yml"):
+        return load_model(experiment.folder_of(name) / name)
+    return load_model(name)
+
+
+def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:
+    """Key parameters and actuator parameters of the rig at the operating point of a recording."""
+    key_parameters = model.key_parameters(planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
+    return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}

@@ -1,0 +1,166 @@
+"""From the rig section of an experiment to the machine, and to what `gbid.rig.record` is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.stages.rig.model import true_parameters
+from gbid.experiment.stages.rig.schema import ActuatorSection, FaultSection, RigSection, SensorSection
+from gbid.lpv import LPVModel
+from gbid.rig import Experiment as RigExperiment
+from gbid.rig import (
+    Faults,
+    FilmStiffening,
+    FlexibleMode,
+    Hammer,
+    Impact,
+    Machine,
+    NonSynchronous,
+    PiezoStacks,
+    Prbs,
+    ProcessNoise,
+    RunUp,
+    Scatter,
+    SensorChain,
+    StackStaircase,
+    Staircase,
+    Stationary,
+    Unbalance,
+)
+
+
+def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
+    """Build the rig at the operating point of a recording, before any scatter.
+
+    Raises
+    ------
+    UsageError
+        Outside the model's domain, or when the rig refuses a value.
+    """
+    rig = _rig(experiment)
+    true = true_parameters(model, planned)
+    flexible, stiffening, whirl = rig.flexible_mode, rig.stiffening, rig.non_synchronous
+    return Machine.from_parameters(
+        true,
+        _stacks(rig.actuators) if rig.actuators.kind == "stacks" else true,
+        Unbalance(rig.unbalance.eccentricity_m, rig.unbalance.phase_rad),
+        _sensors(rig.sensors),
+        rig.clearance_m,
+        moving_mass=rig.moving_mass_kg,
+        flexible_mode=flexible and FlexibleMode(flexible.frequency_hz, flexible.damping, flexible.share),
+        stiffening=stiffening and FilmStiffening(stiffening.deviation_m, stiffening.at_m),
+        non_synchronous=whirl
+        and NonSynchronous(whirl.size_m, whirl.peak_rpm, whirl.width_rpm, whirl.ratio, whirl.bandwidth_hz),
+        process_noise=rig.process_noise and ProcessNoise(rig.process_noise.density),
+    )
+
+
+def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExperiment:
+    """Tell what the rig does in a recording.
+
+    Raises
+    ------
+    UsageError
+        When the rig refuses a value.
+    """
+    rig = _rig(experiment)
+    match planned.run:
+        case ("prbs",):
+            return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
+        case ("staircase", ("x" | "y") as axis) if rig.staircase is not None:
+            stairs = rig.staircase
+            return Staircase(axis, stairs.step_m, stairs.steps, stairs.hold_s)
+        case ("stack_staircase", int(stack), bool(controlled)) if rig.stack_staircase is not None:
+            return StackStaircase(stack, controlled, rig.stack_staircase.steps, rig.stack_staircase.hold_s)
+        case ("hammer", ("x" | "y") as axis) if rig.hammer is not None:
+            hammer = rig.hammer
+            impacts = (Impact.along(axis, time, hammer.peak_n, hammer.impact_s) for time in hammer.times_s)
+            return Hammer(tuple(impacts), hammer.duration_s)
+        case ("run_up",) if rig.run_up is not None:
+            return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
+    return Stationary(rig.stationary.duration_s or rig.duration_s)
+
+
+def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:
+    """Return what `gbid.rig.record` is told beside machine, experiment and controller."""
+    rig = _rig(experiment)
+    return {
+        "conditions": dict(planned.conditions),
+        "seed": rig.seed,
+        "name": planned.name,
+        "sample_time": rig.sample_time_s,
+        "oversampling": rig.oversampling,
+        "settle_s": rig.settle_s,
+        "scatter": rig.scatter and rig.scatter.as_scatter(),
+        "faults": _faults(rig, planned.name),
+        "touch_down": rig.touch_down,
+        "stacks": rig.actuators.record_stacks,
+    }
+
+
+def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return options as plain values, for a content key."""
+    return {key: asdict(v) if isinstance(v, Scatter | Faults) else v for key, v in options.items()}
+
+
+def _rig(experiment: Experiment) -> RigSection:
+    assert experiment.spec.rig is not None
+    return experiment.spec.rig
+
+
+def _stacks(section: ActuatorSection) -> PiezoStacks:
+    base = [
+        replace(stack, hysteresis=section.hysteresis_m, creep=section.creep, creep_times=section.creep_times_s)
+        for stack in PiezoStacks().stacks
+    ]
+    return replace(PiezoStacks.unequal(section.spread, section.seed, base), offset=section.offset_m)
+
+
+def _sensors(section: SensorSection) -> SensorChain:
+    return SensorChain(
+        noise_p=section.noise_p_m,
+        noise_u=section.noise_u_m,
+        runout_amplitude=np.array(section.runout_amplitude_m, dtype=object).astype(float),
+        runout_phase=np.array(section.runout_phase_rad, dtype=object).astype(float),
+        offset_p=section.offset_p_m,
+        offset_u=section.offset_u_m,
+        encoder_counts=section.encoder_counts,
+        resolution_p=section.resolution_p_m,
+        resolution_u=section.resolution_u_m,
+        noise_f=section.noise_f_n,
+    )
+
+
+def faults_of(entry: FaultSection) -> Faults:
+    """Return an entry of faults as the rig takes it.
+
+    Raises
+    ------
+    UsageError
+        When the rig refuses a value.
+    """
+    return Faults(
+        entry.swapped,
+        entry.dead,
+        entry.saturation,
+        entry.spikes_per_s,
+        entry.spike_size_m,
+        entry.sample_time_factor,
+        entry.missing_index,
+        entry.rub_clearance_m,
+    )
+
+
+def _faults(rig: RigSection, name: str) -> Faults | None:
+    """Return the faults of a recording, of the first entry that names it."""
+    for entry in rig.faults:
+        if any(fnmatchcase(name, pattern) for pattern in entry.recordings):
+            return faults_of(entry)
+    return None

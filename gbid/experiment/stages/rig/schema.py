@@ -1,0 +1,270 @@
+"""What the rig section of an experiment YAML may say; names, units and defaults are those of `gbid.rig`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field, Strict
+
+from gbid.experiment.fields import (
+    Count,
+    CountOrZero,
+    Names,
+    NotNegative,
+    Number,
+    OneOrTwo,
+    Pair,
+    Positive,
+    Section,
+    Switch,
+    Text,
+    TwoRows,
+    given,
+)
+from gbid.rig import (
+    FilmStiffening,
+    FlexibleMode,
+    Hammer,
+    Impact,
+    Machine,
+    NonSynchronous,
+    PiezoStacks,
+    Prbs,
+    ProcessNoise,
+    RunUp,
+    Scatter,
+    SensorChain,
+    StackStaircase,
+    Staircase,
+    Unbalance,
+)
+
+_PRBS, _SENSORS, _UNBALANCE, _STAIRCASE, _STACK = Prbs(), SensorChain(), Unbalance(), Staircase(), StackStaircase()
+_IMPACT, _HAMMER, _RUN_UP, _PIEZO, _SCATTER = Impact(), Hammer(), RunUp(), PiezoStacks(), Scatter()
+_FLEXIBLE, _STIFFENING, _WHIRL, _NOISE = FlexibleMode(), FilmStiffening(), NonSynchronous(), ProcessNoise()
+
+
+def _rows(array: Any) -> Any:
+    return tuple(tuple(row) for row in array.tolist())
+
+
+Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
+
+
+class Place(Section):
+    """One of the operating points."""
+
+    pressure_bar: Positive
+    speed_rpm: NotNegative
+
+
+Places = Annotated[tuple[Place, ...], Field(min_length=1)]
+
+
+class OperatingPoint(Section):
+    """Where the machine runs, and how many PRBS recordings are made there if not as many as elsewhere."""
+
+    pressure_bar: Positive
+    speed_rpm: NotNegative
+    prbs_recordings: CountOrZero | None = None
+
+
+class PrbsSection(Section):
+    """Recordings with moving piezos (paper, Sec. 3.4); see `gbid.rig.Prbs`."""
+
+    recordings: CountOrZero = 2
+    amplitude_m: Positive = _PRBS.amplitude
+    hold_s: Positive = _PRBS.hold_s
+
+
+class StationarySection(Section):
+    """Recordings with still piezos (paper, Sec. 3.5)."""
+
+    recordings: CountOrZero = 1
+    duration_s: Positive | None = None
+
+
+class StaircaseSection(Section):
+    """Staircases of the references, `recordings` for each axis (paper, Sec. 3.1); see `gbid.rig.Staircase`.
+
+    `at`: the operating points where; all when left out.
+    """
+
+    recordings: CountOrZero = 1
+    at: Places | None = None
+    axes: Axes = ("x", "y")
+    step_m: Positive = _STAIRCASE.step
+    steps: Count = _STAIRCASE.steps
+    hold_s: Positive = _STAIRCASE.hold_s
+
+
+class StackStaircaseSection(Section):
+    """Staircases of single stacks, open loop and controlled (Figs. A.28, A.29); see `gbid.rig.StackStaircase`.
+
+    `at`: the operating points where; all when left out.
+    """
+
+    recordings: CountOrZero = 1
+    at: Places | None = None
+    stacks: Annotated[tuple[Annotated[int, Strict(), Field(ge=1, le=4)], ...], Field(min_length=1)] = (_STACK.stack,)
+    controlled: Annotated[tuple[Switch, ...], Field(min_length=1)] = (False, True)
+    steps: Count = _STACK.steps
+    hold_s: Positive = _STACK.hold_s
+
+
+class HammerSection(Section):
+    """Hammer impacts, `recordings` for each axis (paper, Sec. 5.1); see `gbid.rig.Hammer` and `gbid.rig.Impact`."""
+
+    recordings: CountOrZero = 1
+    axes: Axes = ("x", "y")
+    times_s: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = (_IMPACT.time,)
+    peak_n: Positive = _IMPACT.peak
+    impact_s: Positive = _IMPACT.duration
+    duration_s: Positive = _HAMMER.duration_s
+
+
+class RunUpSection(Section):
+    """Runs with rising or falling speed; see `gbid.rig.RunUp`."""
+
+    recordings: CountOrZero = 1
+    from_rpm: NotNegative = _RUN_UP.from_rpm
+    to_rpm: NotNegative = _RUN_UP.to_rpm
+    duration_s: Positive = _RUN_UP.duration_s
+
+
+class SensorSection(Section):
+    """What the rig's sensors add; see `gbid.rig.SensorChain`."""
+
+    noise_p_m: OneOrTwo = _SENSORS.noise_p
+    noise_u_m: OneOrTwo = _SENSORS.noise_u
+    noise_f_n: NotNegative = _SENSORS.noise_f
+    runout_amplitude_m: TwoRows = Field(default=_rows(_SENSORS.runout_amplitude))
+    runout_phase_rad: TwoRows = Field(default=_rows(_SENSORS.runout_phase))
+    offset_p_m: Pair = _SENSORS.offset_p
+    offset_u_m: Pair = _SENSORS.offset_u
+    encoder_counts: Annotated[int, Strict(), Field(ge=2)] | None = _SENSORS.encoder_counts
+    resolution_p_m: NotNegative = _SENSORS.resolution_p
+    resolution_u_m: NotNegative = _SENSORS.resolution_u
+
+
+class UnbalanceSection(Section):
+    """Mass unbalance of the rotor; see `gbid.rig.Unbalance`."""
+
+    eccentricity_m: NotNegative = _UNBALANCE.eccentricity
+    phase_rad: Number = _UNBALANCE.phase
+
+
+class ActuatorSection(Section):
+    """Piezos: linear pairs as the model has them, or four stacks; see `gbid.rig.PiezoStacks`.
+
+    `spread` makes the stacks unequal (`seed` chooses how); `hysteresis_m`, `creep` and `creep_times_s` are those
+    of all four before that.
+    """
+
+    kind: Literal["linear", "stacks"] = "linear"
+    offset_m: Positive = _PIEZO.offset
+    spread: Annotated[float, Strict(), Field(ge=0, lt=0.3)] = 0.0
+    seed: CountOrZero = 0
+    hysteresis_m: NotNegative = _PIEZO.stacks[0].hysteresis
+    creep: NotNegative = _PIEZO.stacks[0].creep
+    creep_times_s: tuple[Positive, ...] = _PIEZO.stacks[0].creep_times
+    record_stacks: Switch = False
+
+
+class FlexibleModeSection(Section):
+    """A bending mode that the model leaves out; see `gbid.rig.FlexibleMode`."""
+
+    frequency_hz: Positive = _FLEXIBLE.frequency_hz
+    damping: Positive = _FLEXIBLE.damping
+    share: NotNegative = _FLEXIBLE.share
+
+
+class StiffeningSection(Section):
+    """A gas film that stiffens away from the centre; see `gbid.rig.FilmStiffening`."""
+
+    deviation_m: NotNegative = _STIFFENING.deviation
+    at_m: Positive = _STIFFENING.at
+
+
+class NonSynchronousSection(Section):
+    """Whirl near a speed (paper, Sec. 4); see `gbid.rig.NonSynchronous`."""
+
+    size_m: NotNegative = _WHIRL.size
+    peak_rpm: NotNegative = _WHIRL.peak_rpm
+    width_rpm: Positive = _WHIRL.width_rpm
+    ratio: NotNegative = _WHIRL.ratio
+    bandwidth_hz: Positive = _WHIRL.bandwidth_hz
+
+
+class ProcessNoiseSection(Section):
+    """Broadband force [m/s^2 per sqrt(Hz)]; see `gbid.rig.ProcessNoise`."""
+
+    density: NotNegative = _NOISE.density
+
+
+class ScatterSection(Section):
+    """Scatter of the true parameters between recordings (paper, Sec. 4); see `gbid.rig.Scatter`."""
+
+    share: NotNegative = _SCATTER.share
+    delay_s: Pair = _SCATTER.delay
+    frequency_hz: Pair = _SCATTER.frequency_hz
+    damping: Pair = _SCATTER.damping
+    static_gain: tuple[Number, Number, Number, Number] = _SCATTER.static_gain
+    minimum_damping: NotNegative = _SCATTER.minimum_damping
+    minimum_delay_s: NotNegative = _SCATTER.minimum_delay
+
+    def as_scatter(self) -> Scatter:
+        """Return it as the rig takes it."""
+        return Scatter(
+            self.share,
+            self.delay_s,
+            self.frequency_hz,
+            self.damping,
+            self.static_gain,
+            self.minimum_damping,
+            self.minimum_delay_s,
+        )
+
+
+class FaultSection(Section):
+    """Faults of the recordings whose names match any of the patterns; see `gbid.rig.Faults`."""
+
+    recordings: Names
+    swapped: Annotated[tuple[Text, ...], Field()] = ()
+    dead: dict[Text, Number] = Field(default_factory=dict)
+    saturation: dict[Text, Positive] = Field(default_factory=dict)
+    spikes_per_s: NotNegative = 0.0
+    spike_size_m: Positive = 20e-6
+    sample_time_factor: Positive = 1.0
+    missing_index: Switch = False
+    rub_clearance_m: Positive | None = None
+
+
+class RigSection(Section):
+    """Recordings of the virtual rig."""
+
+    model: Text = "theisen2016"
+    seed: CountOrZero = 1
+    operating_points: Annotated[tuple[OperatingPoint, ...], Field(min_length=1)]
+    duration_s: Positive = _PRBS.duration_s
+    settle_s: NotNegative = 0.5
+    sample_time_s: Positive = 2e-4
+    oversampling: Annotated[int, Strict(), Field(ge=20)] = 20
+    touch_down: Literal["refuse", "flag"] = "refuse"
+    clearance_m: Positive = 25e-6
+    moving_mass_kg: Positive = Machine.moving_mass
+    prbs: PrbsSection = PrbsSection()
+    stationary: StationarySection = StationarySection()
+    staircase: Annotated[StaircaseSection | None, BeforeValidator(given)] = None
+    stack_staircase: Annotated[StackStaircaseSection | None, BeforeValidator(given)] = None
+    hammer: Annotated[HammerSection | None, BeforeValidator(given)] = None
+    run_up: Annotated[RunUpSection | None, BeforeValidator(given)] = None
+    sensors: SensorSection = SensorSection()
+    unbalance: UnbalanceSection = UnbalanceSection()
+    actuators: ActuatorSection = ActuatorSection()
+    flexible_mode: Annotated[FlexibleModeSection | None, BeforeValidator(given)] = None
+    stiffening: Annotated[StiffeningSection | None, BeforeValidator(given)] = None
+    non_synchronous: Annotated[NonSynchronousSection | None, BeforeValidator(given)] = None
+    process_noise: Annotated[ProcessNoiseSection | None, BeforeValidator(given)] = None
+    scatter: Annotated[ScatterSection | None, BeforeValidator(given)] = None
+    faults: tuple[FaultSection, ...] = ()

@@ -1,0 +1,37 @@
+"""Stage that makes recordings on the virtual rig."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from gbid.experiment.recordings import recording_task
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.rig.plan import machine_at, record_options, rig_experiment
+from gbid.recording import (
+    save_recording,
+)
+from gbid.rig import record
+
+
+def make_rig_recordings(job: Job) -> list[Outcome]:
+    """Make the recordings of the rig section, ``recordings/<name>.h5``; none without that section."""
+    return run_tasks(job, rig_tasks(job))
+
+
+def rig_tasks(job: Job) -> list[Task]:
+    """List the tasks of the rig section, one for each recording."""
+    return [
+        recording_task(job, "rig", planned, _write_rig_recording)
+        for planned in job.experiment.recordings.values()
+        if planned.imported is None
+    ]
+
+
+def _write_rig_recording(job: Job, name: str, part: Path) -> None:
+    experiment, planned = job.experiment, job.experiment.recordings[name]
+    machine = machine_at(experiment, planned, rig_model(experiment))
+    made = record(machine, rig_experiment(experiment, planned), **record_options(experiment, planned))
+    save_recording(made, part, overwrite=True)

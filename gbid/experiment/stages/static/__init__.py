@@ -1,0 +1,1 @@
+"""Static characterisation: maps and curves from staircases."""

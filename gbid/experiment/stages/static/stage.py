@@ -1,0 +1,102 @@
+"""Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): staircases to maps and curves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from gbid.characterise import (
+    PiezoCurve,
+    StaticMap,
+    characterise_piezo,
+    characterise_staircase,
+    load_static,
+    save_static,
+    static_rows,
+)
+from gbid.characterise.store import write_csv
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key
+from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.static.schema import wanted_signals
+
+FOLDER = "static"
+_OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel", "settle_s", "limits")
+
+
+def run_static(job: Job) -> list[Outcome]:
+    """Write ``static/<name>.h5`` for each static characterisation, and ``static/<name>.csv`` with its plateaus."""
+    outcomes = run_tasks(job, static_tasks(job))
+    there = [outcome.item for outcome in outcomes if outcome.state != "failed"]
+    return [*outcomes, *run_tasks(job, _csv_tasks(job, there))]
+
+
+def static_tasks(job: Job) -> list[Task]:
+    """List the tasks of the static section, one for each characterisation."""
+    tasks = []
+    for name, section in job.experiment.spec.static.items():
+        recordings = tuple(q.name for q in job.experiment.matching(section.recordings))
+        path, key = job.path(FOLDER, name), static_key(job.experiment, name)
+        tasks.append(Task("static", name, path, key, _write, recordings))
+    return tasks
+
+
+def static_key(experiment: Experiment, name: str) -> str:
+    """Content key of a static characterisation."""
+    section = experiment.spec.static[name]
+    sources = [recording_key(experiment, q) for q in experiment.matching(section.recordings)]
+    return content_key("static", section.model_dump(), sources)
+
+
+def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
+    """Read a static characterisation.
+
+    Raises
+    ------
+    DataError
+        When it is not there.
+    """
+    path = job.path(FOLDER, name)
+    if job.experiment.spec.static[name].kind == "piezo":
+        return load_static(path, PiezoCurve)
+    return load_static(path, StaticMap)
+
+
+def _csv_tasks(job: Job, names: list[str]) -> list[Task]:
+    return [
+        Task(
+            "static",
+            f"{name} (csv)",
+            job.path(FOLDER, name, ".csv"),
+            content_key("static csv", {}, [static_key(job.experiment, name)]),
+            _write_csv,
+        )
+        for name in names
+    ]
+
+
+def _write(job: Job, name: str, part: Path) -> Made:
+    section = job.experiment.spec.static[name]
+    options: dict[str, Any] = {key: getattr(section, key) for key in _OPTIONS if getattr(section, key) is not None}
+    data = []
+    for planned in job.experiment.matching(section.recordings):
+        data.append(load_made(job, planned))
+        # The command rests at its limits and other axes are still: only what is measured is looked at.
+        measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
+        refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
+    result: StaticMap | PiezoCurve
+    if section.kind == "piezo":
+        result = characterise_piezo(data[0], **options)
+    else:
+        result = characterise_staircase(data, **options)
+    save_static(result, part, overwrite=True)
+    return Made("; ".join(result.notes))
+
+
+def _write_csv(job: Job, item: str, part: Path) -> None:
+    name = item.removesuffix(" (csv)")
+    key = content_key("static csv", {}, [static_key(job.experiment, name)])
+    write_csv(part, static_rows(load_made_static(job, name)), f"content_key: {key}")

@@ -1,0 +1,1 @@
+"""Controllers whose gains are tuned."""

@@ -1,0 +1,80 @@
+"""What the controller section means: structures, models, gains and operating points exist."""
+
+from __future__ import annotations
+
+from gbid.control import Scheduled
+from gbid.errors import GbidError
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.problems import Found, Location, nearest
+from gbid.experiment.stages.tune.plan import design_structure, named_model, surfaces_item
+from gbid.experiment.stages.tune.schema import ControllerSection
+from gbid.lpv import LPVModel
+from gbid.structure.linear import Structure
+
+
+def designs_can_be_tuned(experiment: Experiment) -> Found:
+    """Check that structure and model are there, gains are those of the structure, points lie inside the domain."""
+    for name, section in experiment.spec.controller.items():
+        where: Location = ("controller", name)
+        model: LPVModel | None = None
+        try:
+            item = surfaces_item(experiment, section)
+        except GbidError as error:
+            yield (*where, "model"), str(error)
+            continue
+        if item is None:
+            try:
+                model = named_model(experiment, section)
+            except GbidError as error:
+                yield (*where, "model") if section.model else where, str(error)
+                continue
+            if section.uncertainty is not None:
+                yield (*where, "uncertainty"), "is drawn from the surfaces of this experiment; write model: lpv"
+        else:
+            yield from _surfaces_problems(experiment, section, where)
+        if model is not None:
+            yield from _point_problems(section, model, where)
+        try:
+            structure = design_structure(experiment, section, None if model is None else model.domain)
+        except GbidError as error:
+            yield (*where, "schedule" if "terms" in str(error) else "structure"), str(error)
+            continue
+        yield from _gain_problems(section, structure, where)
+
+
+def _surfaces_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
+    lpv = experiment.spec.lpv
+    assert lpv is not None
+    if lpv.actuators is None:
+        yield (*where, "model") if section.model else where, "the surfaces have no actuators; add lpv: actuators"
+    if section.model == "lpv_direct" and not lpv.direct:
+        yield (*where, "model"), "there are no surfaces straight from the recordings; write lpv: direct: true"
+
+
+def _point_problems(section: ControllerSection, model: LPVModel, where: Location) -> Found:
+    if section.operating_points == "model" and not model.operating_points:
+        yield (
+            (*where, "operating_points") if "operating_points" in section.model_fields_set else where,
+            f"model {model.name!r} lists no operating points; list some, or write domain",
+        )
+    if isinstance(section.operating_points, str):
+        return
+    for i, point in enumerate(section.operating_points):
+        for key in ("pressure_bar", "speed_rpm"):
+            value, (low, high) = getattr(point, key), getattr(model.domain, key)
+            if not low <= value <= high:
+                yield (
+                    (*where, "operating_points", i, key),
+                    f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
+                )
+
+
+def _gain_problems(section: ControllerSection, structure: Structure | Scheduled, where: Location) -> Found:
+    names = [parameter.name for parameter in structure.parameters]
+    for key in ("bounds", "start"):
+        for gain in getattr(section, key):
+            if gain not in names:
+                yield (*where, key, gain), f"{structure.name} has no gain of this name; {nearest(gain, names)}"
+    for gain, (low, high) in section.bounds.items():
+        if not low < high:
+            yield (*where, "bounds", gain), f"lower bound {low:g} is not below the upper one, {high:g}"

@@ -1,0 +1,103 @@
+"""What an experiment YAML may say of controllers to be tuned."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import AllowInfNan, BeforeValidator, Field, PlainSerializer, Strict, WithJsonSchema, WrapValidator
+
+from gbid.experiment.fields import Count, CountOrZero, NotNegative, Number, Pair, Positive, Section, Switch, Text, given
+from gbid.experiment.stages.impact.schema import ImpactPoint
+from gbid.experiment.stages.lpv.schema import Term
+
+Cap = Annotated[float, Strict(), AllowInfNan(False), Field(gt=1)]
+"""A cap on the peak of S_o, which is 1 at high frequencies."""
+
+
+def _points(value: Any, listed: Callable[[Any], Any]) -> Any:
+    """Take one of the words as it is; a union would name its members in every error."""
+    if not isinstance(value, str):
+        if value in ([], None):
+            raise ValueError("is empty; list at least one operating point, or write model or domain")
+        return listed(value)
+    if value not in ("model", "domain"):
+        raise ValueError(f"expected the word model or domain, or a list of operating points, found {value!r}")
+    return value
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str) else [point.model_dump() for point in value]
+
+
+if TYPE_CHECKING:
+    Points = tuple[ImpactPoint, ...] | Literal["model", "domain"]
+else:
+    Points = Annotated[
+        tuple[ImpactPoint, ...],
+        WrapValidator(_points),
+        PlainSerializer(_plain),
+        WithJsonSchema(
+            {
+                "anyOf": [
+                    {"enum": ["model", "domain"]},
+                    {"type": "array", "items": ImpactPoint.model_json_schema(), "minItems": 1},
+                ]
+            }
+        ),
+    ]
+
+
+class ImpactSection(Section):
+    """Half-sine impact, along x and along y, under which no piezo stack may leave its travel."""
+
+    peak_n: Positive = 12.0
+    duration_s: Positive = 2e-3
+    piezo_travel_m: Positive = 45e-6
+
+
+class DrawnPlantsSection(Section):
+    """Plants drawn from the covariance of the surfaces' coefficients; the design must hold for each of them."""
+
+    draws: Count = 10
+    seed: CountOrZero = 0
+
+
+class ControllerSection(Section):
+    """A controller of fixed structure, its gains tuned over operating points (paper, Sec. 5); see `gbid.tune`.
+
+    `structure`: ``P``, ``PD``, ``biquad``, or one of your own as ``file.py:name``. `lowpass_hz`, `order` and
+    `tune_corner` (whether the corner is a gain as well) are options of the built-in ones.
+    `schedule`: terms of pressure and speed that the gains follow; gains are constant without.
+    `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else a model's name or file; when left out,
+    the surfaces where there is a section lpv, else the rig's model.
+    `operating_points`: ``model`` for those of the model, ``domain`` for its whole rectangle, or a list.
+    `peak_sensitivity`: null for none. `uncertainty` needs the surfaces of this experiment.
+    `pareto`: caps on the peak of S_o under which the same design is tuned as well.
+    `sample_time_s` and `method`: how the controller file is sampled; at the rig's sample time when left out.
+    `design_for`: ``sampled`` tunes the loop as it runs, with the delay of sampling and one sample for computation;
+    ``continuous`` the loop of the paper, which damps more than the one that will run.
+    """
+
+    structure: Text = "P"
+    lowpass_hz: Positive | None = None
+    order: CountOrZero | None = None
+    tune_corner: Switch | None = None
+    schedule: Annotated[tuple[Term, ...], Field(min_length=1)] | None = None
+    model: Text | None = None
+    operating_points: Points = "model"
+    peak_sensitivity: Cap | None = 2.6
+    peak_control: Positive | None = None
+    static_amplification: Positive | None = None
+    slowest_pole: NotNegative | None = None
+    objective: Literal["damping", "decay"] = "damping"
+    design_for: Literal["continuous", "sampled"] = "continuous"
+    impact: Annotated[ImpactSection | None, BeforeValidator(given)] = None
+    bounds: dict[Text, Pair] = Field(default_factory=dict)
+    uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None
+    start: dict[Text, Number] = Field(default_factory=dict)
+    starts: Count | None = None
+    seed: CountOrZero = 0
+    pareto: tuple[Cap, ...] = ()
+    sample_time_s: Positive | None = None
+    method: Literal["tustin", "zoh"] = "tustin"

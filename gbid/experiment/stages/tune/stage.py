@@ -1,0 +1,249 @@
+"""Stage that tunes controllers (paper, Sec. 5)."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from gbid.control import (
+    GainResult,
+    Scheduled,
+    SearchStep,
+    Uncertainty,
+    assess,
+    controller_structure,
+    pareto,
+    save_controller,
+    tune,
+)
+from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.errors import GbidError
+from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.run.inputs import InputError
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.stages.impact.plan import TUNED
+from gbid.experiment.stages.lpv.stage import FOLDER as LPV_FOLDER
+from gbid.experiment.stages.lpv.stage import read_surfaces
+from gbid.experiment.stages.tune.plan import (
+    controller_section,
+    design_structure,
+    impact,
+    named_model,
+    published_design,
+    sample_time,
+    structure_text,
+    surfaces_item,
+    tune_options,
+    with_actuators,
+)
+from gbid.experiment.stages.tune.schema import ControllerSection
+from gbid.lpv import LPVModel, load_lpv_fit
+
+PUBLISHED = "published"
+"""Name of the controller that came with the machine, beside the designs."""
+
+
+def run_tuning(job: Job) -> list[Outcome]:
+    """Write ``controller/<design>.h5`` and ``controller/<design>.yaml``.
+
+    Returns
+    -------
+    list of Outcome
+        Empty without a section ``controller``. A design that keeps not all limits is not converged; it is written.
+
+    Raises
+    ------
+    UsageError
+        When a result made from other settings may not be replaced.
+    """
+    keys: dict[str, str] = {}
+    failed: list[Outcome] = []
+    surfaces = _surface_keys(job)
+    for name, section in job.experiment.spec.controller.items():
+        try:
+            keys[name] = _design_key(job, section, surfaces)
+        except GbidError as error:
+            outcome = Outcome("tune", name, job.path(TUNED, name), "failed", str(error), cause="input")
+            job.reporter.end(outcome)
+            failed.append(outcome)
+    designs = run_tasks(job, [Task("tune", n, job.path(TUNED, n), k, _tune, read=_read_made) for n, k in keys.items()])
+    files = [
+        Task("controller", o.item, job.path(TUNED, o.item, ".yaml"), keys[o.item], _write_controller)
+        for o in designs
+        if o.state != "failed"
+    ]
+    return [*failed, *designs, *run_tasks(job, files)]
+
+
+def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
+    """Read the designs that are there, made from the present settings and fits, by name; nothing is made.
+
+    Returns
+    -------
+    dict of str to TunedDesign
+    dict of str to str
+        Those that are not there, and why.
+    """
+    found: dict[str, TunedDesign] = {}
+    missing: dict[str, str] = {}
+    surfaces = _surface_keys(job)
+    for name, section in job.experiment.spec.controller.items():
+        path = job.path(TUNED, name)
+        try:
+            key = _design_key(job, section, surfaces)
+            if stored_key(path) == key:
+                found[name] = load_tuned(path)
+            else:
+                made = "made with other settings or data" if path.is_file() else "not made yet"
+                missing[name] = f"{made}; `gbid tune` makes it"
+        except GbidError as error:
+            missing[name] = str(error)
+    return found, missing
+
+
+def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
+    """Load the designs that are there, by name."""
+    return {o.item: load_tuned(o.path) for o in outcomes if o.stage == "tune" and o.state != "failed"}
+
+
+def _surface_keys(job: Job) -> dict[str, str]:
+    """Keys of the surfaces that are there, made from the present fits, when a design is for any."""
+    experiment = job.experiment
+    if all(surfaces_item(experiment, section) is None for section in experiment.spec.controller.values()):
+        return {}
+    return {item: stored_key(job.path(LPV_FOLDER, item, ".yaml")) for item in read_surfaces(job)}
+
+
+def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) -> str:
+    experiment = job.experiment
+    item = surfaces_item(experiment, section)
+    if item is None:
+        model = named_model(experiment, section)
+        source, published = repr(model), published_design(experiment, model)
+    elif item in surfaces:
+        source = surfaces[item]
+        published = published_design(experiment, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")).model)
+    else:
+        raise InputError(f"no surfaces {item!r} made from the present fits are there; run `gbid lpv` or `gbid run`")
+    settings = {
+        **section.model_dump(),
+        "text": structure_text(experiment, section).decode(errors="replace"),
+        "sampled_at": sample_time(experiment, section),
+        "published": repr(published),
+    }
+    return content_key("tune", settings, [source])
+
+
+def _plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
+    """Load the model of a design, and the plants that it may be where the section asks for them."""
+    item = surfaces_item(job.experiment, section)
+    if item is None:
+        return named_model(job.experiment, section), None
+    fit = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml"))
+    drawn = section.uncertainty
+    plants = None if drawn is None else Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
+    return with_actuators(fit.model), plants
+
+
+def _tune(job: Job, name: str, part: Path) -> Made:
+    experiment, section = job.experiment, controller_section(job.experiment, name)
+    model, plants = _plant(job, section)
+    structure = design_structure(experiment, section, model.domain)
+
+    def progress(step: SearchStep) -> None:
+        job.reporter.search(step)
+
+    options: dict[str, Any] = {
+        **tune_options(section),
+        "controller": structure,
+        "uncertainty": plants,
+        "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
+        "progress": progress,
+    }
+    result = tune(model, peak_sensitivity=section.peak_sensitivity, **options)
+    front = pareto(model, section.pareto, **options) if section.pareto else None
+    performance = _performance(job, section, name, model, structure, result)
+    design = TunedDesign(
+        name,
+        model.name,
+        result,
+        performance,
+        () if front is None else tuple(zip(front.caps, front.designs, strict=True)),
+        impact(section),
+        sample_time(experiment, section),
+    )
+    save_tuned(design, part, overwrite=True)
+    return _made(design)
+
+
+def _performance(
+    job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
+) -> tuple[DesignFigures, ...]:
+    """Assess the design, and the published one beside it."""
+    options: dict[str, Any] = {
+        "points": result.points,
+        "sample_time": sample_time(job.experiment, section),
+        "method": section.method,
+        "impact": impact(section),
+    }
+    own = assess(model, structure, result.gains, **options, name=name)
+    came = published_design(job.experiment, model)
+    if came is None:
+        return (DesignFigures.of(own),)
+    form = controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+    gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
+    return DesignFigures.of(own), DesignFigures.of(assess(model, form, gains, **options, name=PUBLISHED))
+
+
+def _made(design: TunedDesign) -> Made:
+    result = design.result
+    stuck = [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
+    if result.success:
+        return Made("; ".join(stuck))
+    worst = result.worst
+    mode = f"{worst.frequency_hz:.0f} Hz with damping {worst.damping:.3f} at {worst.where}"
+    held = f", held back by {', '.join(result.active)}" if result.active else ""
+    text = f"{result.status}: limits exceeded by {100 * result.violation:.2g} %{held}; worst mode {mode}"
+    return Made("; ".join([text, *stuck]), converged=False)
+
+
+def _read_made(path: Path) -> Made:
+    return _made(load_tuned(path))
+
+
+def _write_controller(job: Job, name: str, part: Path) -> None:
+    section = controller_section(job.experiment, name)
+    design = load_tuned(job.path(TUNED, name))
+    model, _ = _plant(job, section)
+    structure = design_structure(job.experiment, section, model.domain)
+    result = design.result
+    provenance: dict[str, str | float] = {
+        "experiment": job.experiment.spec.name,
+        "status": result.status,
+        result.objective: result.value,
+        "verified_on": result.verified_on,
+    }
+    if section.peak_sensitivity is not None:
+        provenance["cap_peak_sensitivity"] = section.peak_sensitivity
+    if result.peak_sensitivity is not None:
+        provenance["peak_sensitivity"] = result.peak_sensitivity
+    with tempfile.TemporaryDirectory() as folder:  # the ending tells save_controller the kind of file
+        file = Path(folder) / f"{name}.yaml"
+        save_controller(
+            file,
+            structure,
+            result.gains,
+            name=name,
+            sample_time=sample_time(job.experiment, section),
+            method=section.method,
+            plant=design.plant,
+            points=result.points if isinstance(structure, Scheduled) else (),
+            provenance=provenance,
+        )
+        text = file.read_text(encoding="utf-8")
+    key = stored_key(job.path(TUNED, name))
+    part.write_text(f"# content_key: {key}\n{text}", encoding="utf-8")
