@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import UsageError
 from gbid.report.figures import STYLE, symbol
-from gbid.report.numbers import probability
+from gbid.tables.numbers import probability
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

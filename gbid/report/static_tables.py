@@ -9,8 +9,8 @@ from rich import box
 from rich.table import Table
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.report.numbers import engineering
 from gbid.report.rows import Row
+from gbid.tables.numbers import engineering
 
 
 def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:

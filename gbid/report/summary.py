@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gbid.report.numbers import probability
 from gbid.report.rows import Row
+from gbid.tables.numbers import probability
 
 Line = tuple[str, str]
 """A word, and what is to be said of it."""

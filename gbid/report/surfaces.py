@@ -14,7 +14,7 @@ from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.report.canvas import BLACK, BLUE, RED, TWO_COLUMNS, panels, styled
 from gbid.report.figures import symbol
-from gbid.report.numbers import exponent_of
+from gbid.tables.numbers import exponent_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

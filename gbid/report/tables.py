@@ -10,9 +10,9 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from gbid.report.numbers import engineering, exponent_of, shown_unit
 from gbid.report.rows import Row
 from gbid.report.summary import summary_lines
+from gbid.tables.numbers import engineering, exponent_of, shown_unit
 
 
 def fit_tables(title: str, document: Row) -> Group:

@@ -8,9 +8,9 @@ from pathlib import Path
 from rich.table import Table
 
 from gbid.operating_point import point_label
-from gbid.report.numbers import engineering
 from gbid.report.rows import Row
 from gbid.report.tables import new_table
+from gbid.tables.numbers import engineering
 from gbid.validate import NominalActuator, ValidationSummary
 
 _POINTS = 30  # operating points up to which each has its lines

@@ -18,7 +18,7 @@ from gbid.report import (
     response_figure,
     save_figure,
 )
-from gbid.report.numbers import engineering, exponent_of
+from gbid.tables.numbers import engineering, exponent_of
 from gbid.validate import Validation
 
 

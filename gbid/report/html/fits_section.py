@@ -8,8 +8,8 @@ from typing import Any
 
 from gbid.report.html.gather import Found, FoundFit, Gathered
 from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Part, Section, Table, Words, fit_href, point_words
-from gbid.report.numbers import engineering, shown_unit
 from gbid.report.summary import summary_lines
+from gbid.tables.numbers import engineering, shown_unit
 
 _NAMED = 5
 

@@ -8,12 +8,12 @@ from gbid.operating_point import point_label
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
-from gbid.report.numbers import engineering
 from gbid.report.of_results import piezo_data, static_map_data
 from gbid.report.paper.results import Results
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
 from gbid.report.static_map import plot_static_map
 from gbid.report.static_tables import static_document
+from gbid.tables.numbers import engineering
 
 _MICROMETRES = 1e6
 

@@ -12,10 +12,10 @@ from gbid.lpv.basis import TERMS
 from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
-from gbid.report.numbers import engineering, shown_unit
 from gbid.report.over_pressure import modes_data, plot_over_pressure
 from gbid.report.surfaces import plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS
+from gbid.tables.numbers import engineering, shown_unit
 
 _GROUPS = {
     "stiffness": ("k_xx", "k_xy", "k_yx", "k_yy"),

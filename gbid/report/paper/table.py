@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from gbid.report.numbers import engineering
 from gbid.report.tables import new_table
+from gbid.tables.numbers import engineering
 
 _HEADS = ("where", "quantity", "unit", "paper", "+-", "ours", "std", "off by", "")
 _WORDED = ("where", "quantity", "unit", "")

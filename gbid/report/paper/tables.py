@@ -15,9 +15,9 @@ from gbid.errors import DataError
 from gbid.lpv import TERMS
 from gbid.operating_point import point_label
 from gbid.report.designs import design_performances, design_rows
-from gbid.report.numbers import engineering
 from gbid.report.paper.results import Results
 from gbid.structure import KEY_PARAMETERS
+from gbid.tables.numbers import engineering
 
 Cell = str | float | int | None
 _UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}

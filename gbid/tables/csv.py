@@ -1,0 +1,39 @@
+"""CSV renderer of tables: numbers with all their digits, for programs and spreadsheets."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+
+from gbid.tables.table import Table, Value, value_of
+
+_QUOTED = re.compile(r'[,"\r\n]|^#')  # a first cell with # would be taken for a comment
+
+
+def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
+    """Text of a CSV file: notes and comments in lines that begin with #, the headings, the rows.
+
+    Numbers are written so that they are read back bit for bit. An empty cell is a value that is missing.
+
+    Parameters
+    ----------
+    table : Table
+    comments : sequence of str
+        Further lines below the notes.
+    """
+    lines = [f"# {' '.join(comment.split())}" for comment in (*table.notes, *comments)]
+    lines.append(_line(column.heading for column in table.columns))
+    lines += [_line(_text(value_of(entry)) for entry in row) for row in table.rows]
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _line(cells: Iterable[str]) -> str:
+    return ",".join('"' + cell.replace('"', '""') + '"' if _QUOTED.search(cell) else cell for cell in cells)
+
+
+def _text(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float):
+        return repr(float(value))
+    return "" if value is None else str(value)
