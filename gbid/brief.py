@@ -1,4 +1,4 @@
-"""What a result says of itself in a Python shell: a few lines instead of all its numbers."""
+"""Short text descriptions of results for the Python shell."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ from typing import Any
 import numpy as np
 
 WIDTH = 110
-"""Characters of a line."""
-_NO_BREAK = "\u00a0"  # within an entry of a list, until the lines are made
+"""Number of characters in a line."""
+_NO_BREAK = "\u00a0"  # stands for a space inside an entry, so that a line break does not split the entry
 FEW = 6
-"""So many entries of a mapping, a tuple or an array are shown; of more, the first ones or the range."""
+"""Largest number of entries that are shown in full; of longer values the first entries or the range are shown."""
 
 
 def brief(owner: Any, about: str, /, **shown: Any) -> str:
-    """Describe a result.
+    """Return a description of a result in a few lines.
 
     Parameters
     ----------
     owner : dataclass
         The result.
     about : str
-        What it is, after the name of its class.
+        Title, written after the name of the class.
     **shown
-        Entries of interest by name, a line or more for each; empty ones are left out.
+        Values to show, by name. Each takes one line or more; empty values are left out.
 
     Returns
     -------
     str
-        Several lines; the last one names the fields that are not shown.
+        Several lines. The last line names the fields that are not shown.
     """
     width = max((len(name) for name in shown), default=0)
     lines = [f"{type(owner).__name__}: {about}".removesuffix(": ")]
@@ -48,7 +48,10 @@ def brief(owner: Any, about: str, /, **shown: Any) -> str:
 
 
 def in_words(value: Any) -> str:
-    """Write a value on one line: numbers with six digits, the range of many numbers, the first of many entries."""
+    """Return a value as one line of text.
+
+    Numbers have six digits. Of a long list the first entries are shown, of a large array the range.
+    """
     if isinstance(value, str):
         return value
     if isinstance(value, np.ndarray):
@@ -63,12 +66,12 @@ def in_words(value: Any) -> str:
 
 
 def estimates(values: Mapping[str, float], std: Mapping[str, float], names: Iterable[str]) -> str:
-    """Write estimates with their standard deviations."""
+    """Return estimates with their standard deviations as one line of text."""
     return _listed([f"{name} = {values[name]:.5g} +- {std[name]:.2g}" for name in names], many=4 * FEW)
 
 
 def counted(words: Iterable[str]) -> str:
-    """Write how often each word occurs, in the order of their first occurrence."""
+    """Return how often each word occurs, in the order of first occurrence."""
     counts: dict[str, int] = {}
     for word in words:
         counts[word] = counts.get(word, 0) + 1
@@ -88,5 +91,5 @@ def _array(values: np.ndarray[Any, Any]) -> str:
 
 def _listed(entries: Sequence[str], many: int = FEW) -> str:
     left = len(entries) - many
-    told = [*entries[:many], *([f"... {left} more"] if left > 0 else [])]
-    return ", ".join(text.replace(" ", _NO_BREAK) if len(text) <= WIDTH // 2 else text for text in told)
+    shown = [*entries[:many], *([f"... {left} more"] if left > 0 else [])]
+    return ", ".join(text.replace(" ", _NO_BREAK) if len(text) <= WIDTH // 2 else text for text in shown)

@@ -1,4 +1,4 @@
-"""C sources compiled once per machine and kept in a cache."""
+"""Compilation of C sources, once per machine, with a cache of the libraries."""
 
 from __future__ import annotations
 
@@ -33,21 +33,24 @@ FLAGS = (
 
 
 class CompilerMissingError(Exception):
-    """No C compiler, or one that cannot build the kernel; the text says which."""
+    """Error raised when no C compiler is found or when the compiler fails; the text gives the reason."""
 
 
 def cache_folder() -> Path:
-    """Folder of compiled kernels: ``GBID_CACHE_DIR`` or the user's cache."""
+    """Return the folder of the compiled kernels.
+
+    It is the folder named by the environment variable ``GBID_CACHE_DIR``, otherwise the cache folder of the user.
+    """
     named = os.environ.get("GBID_CACHE_DIR")
     return Path(named) if named else user_cache_path("gbid", appauthor=False) / "kernels"
 
 
 @cache
 def load_library(source: str) -> ctypes.CDLL:
-    """Compile a source, or take it from the cache, and load it.
+    """Return the shared library of a C source, compiled now or taken from the cache.
 
-    The cache is keyed by source, compiler, flags and processor. Processes that want the same kernel at the
-    same time wait for one another; a file appears under its name only when complete.
+    The key of the cache is made of the source, the compiler, the flags and the processor. Processes that need the
+    same library at the same time wait for one another. A file gets its final name only when it is complete.
 
     Parameters
     ----------
@@ -57,11 +60,12 @@ def load_library(source: str) -> ctypes.CDLL:
     Returns
     -------
     ctypes.CDLL
+        The loaded library.
 
     Raises
     ------
     CompilerMissingError
-        When there is no compiler, it fails, or no folder can be written.
+        When there is no compiler, when the compiler fails, or when the cache folder cannot be written.
     """
     command, identity = _compiler()
     key = hashlib.sha256("\0".join([source, identity, *FLAGS, _processor()]).encode()).hexdigest()[:32]
@@ -74,28 +78,30 @@ def load_library(source: str) -> ctypes.CDLL:
                 _compile(command, source, library)
             try:
                 return ctypes.CDLL(str(library))
-            except OSError:  # damaged on disk: make it anew
+            except OSError:  # the file is damaged: compile it again
                 _compile(command, source, library)
                 return ctypes.CDLL(str(library))
     except OSError as error:
-        raise CompilerMissingError(f"the cache of compiled kernels cannot be used: {error}") from None
+        raise CompilerMissingError(
+            f"the cache of compiled kernels cannot be used: {error}; set GBID_CACHE_DIR to a folder that can be written"
+        ) from None
 
 
 @cache
 def _compiler() -> tuple[list[str], str]:
-    """Command of the C compiler and the version it states."""
+    """Return the command of the C compiler and the text of its version."""
     named = os.environ.get("CC", "")
     for candidate in [shlex.split(named)] if named else [["cc"], ["gcc"], ["clang"]]:
         if candidate and shutil.which(candidate[0]):
-            answer = subprocess.run([*candidate, "--version"], capture_output=True, text=True, check=False)
-            if answer.returncode == 0:
-                return candidate, answer.stdout
+            version = subprocess.run([*candidate, "--version"], capture_output=True, text=True, check=False)
+            if version.returncode == 0:
+                return candidate, version.stdout
     raise CompilerMissingError(f"no C compiler found ({named or 'cc, gcc, clang'})")
 
 
 @cache
 def _processor() -> str:
-    """Describe the processor, so that a cache shared by several machines serves each its own."""
+    """Return a description of the processor, so that machines that share a cache do not share libraries."""
     info = Path("/proc/cpuinfo")
     flags = ""
     if info.is_file():
@@ -108,10 +114,10 @@ def _compile(command: list[str], source: str, library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         text, built = Path(folder) / "kernel.c", Path(folder) / "kernel.so"
         text.write_text(source)
-        answer = subprocess.run(
+        result = subprocess.run(
             [*command, *FLAGS, str(text), "-o", str(built)], capture_output=True, text=True, check=False
         )
-        if answer.returncode != 0:
-            first = (answer.stderr.strip() or answer.stdout.strip()).splitlines()[:1]
-            raise CompilerMissingError(f"{command[0]} failed on the kernel: {first[0] if first else answer.returncode}")
+        if result.returncode != 0:
+            first = (result.stderr.strip() or result.stdout.strip()).splitlines()[:1]
+            raise CompilerMissingError(f"{command[0]} failed on the kernel: {first[0] if first else result.returncode}")
         built.replace(library)

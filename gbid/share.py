@@ -1,4 +1,4 @@
-"""The model and experiment files that come with gbid."""
+"""Folder of the model and experiment files that come with gbid."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gbid.errors import UsageError
 
 
 def share_folder(kind: str) -> Path:
-    """Folder of the files that come with gbid.
+    """Return the folder of the files that come with gbid.
 
     Parameters
     ----------
@@ -18,12 +18,12 @@ def share_folder(kind: str) -> Path:
     Returns
     -------
     pathlib.Path
-        Inside the package when installed from a wheel, at the top level in a checkout.
+        A folder inside the package when gbid was installed from a wheel, the top-level folder in a checkout.
 
     Raises
     ------
     UsageError
-        When neither is there.
+        When neither folder exists.
     """
     package = Path(__file__).resolve().parent
     for folder in (package / "_share" / kind, package.parent / kind):

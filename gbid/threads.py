@@ -1,4 +1,4 @@
-"""One BLAS thread where many small matrices are multiplied."""
+"""Limit of the BLAS libraries to one thread."""
 
 from __future__ import annotations
 
@@ -11,10 +11,13 @@ from threadpoolctl import ThreadpoolController  # type: ignore[import-untyped]
 
 @cache
 def _controller() -> Any:
-    return ThreadpoolController()  # looks at every loaded library: once
+    return ThreadpoolController()  # inspects every loaded library, so it is made only once
 
 
 def one_blas_thread() -> AbstractContextManager[Any]:
-    """Hold the BLAS libraries of this process to one thread while the context is open."""
+    """Return a context in which the BLAS libraries of this process use one thread.
+
+    Products of small matrices are slower with several threads.
+    """
     limit: AbstractContextManager[Any] = _controller().limit(limits=1, user_api="blas")
     return limit

@@ -1,7 +1,7 @@
-"""Signals of the test rig, their SI units, and conversion at the edges of the program.
+"""Known signals of the test rig with their SI units, and conversion of units.
 
-Inside gbid every number is SI, except the two scheduling variables, which keep the units of the
-field and say so in their names: ``pressure_bar`` and ``speed_rpm``.
+Inside gbid every number is in SI units. The two scheduling variables are the exception: they keep the units of
+the field, and their names say so (``pressure_bar`` and ``speed_rpm``).
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ from gbid.errors import UsageError
 
 
 class SignalKind(NamedTuple):
-    """What a known signal name means.
+    """Unit, description and channels of a known signal.
 
     Attributes
     ----------
     unit : str
         SI unit.
     long_name : str
-        What it is, in words, for files and labels.
+        Description for files and axis labels.
     channels : tuple of str
-        Names of its channels.
+        Names of the channels.
     """
 
     unit: str
@@ -46,18 +46,18 @@ SIGNALS: dict[str, SignalKind] = {
 
 @cache
 def _registry() -> Any:
-    import pint  # at the edge only: a heavy import
+    import pint  # imported here, because the import is slow
 
     return pint.UnitRegistry()
 
 
 def conversion_factor(unit: str, target: str) -> float:
-    """Factor by which a number in `unit` is multiplied to be in `target`.
+    """Return the factor that converts a number in `unit` to a number in `target`.
 
     Parameters
     ----------
     unit, target : str
-        Units as pint writes them: ``"um"``, ``"m"``, ``"deg"``, ``"V"``; ``""`` has no dimension.
+        Units as pint writes them: ``"um"``, ``"m"``, ``"deg"``, ``"V"``. ``""`` means dimensionless.
 
     Returns
     -------
@@ -67,7 +67,7 @@ def conversion_factor(unit: str, target: str) -> float:
     Raises
     ------
     UsageError
-        When a unit is unknown, the two do not measure the same thing, or the scale has an offset (degC).
+        When a unit is unknown, when the units measure different quantities, or when the scale has an offset (degC).
     """
     if unit == target:
         return 1.0
@@ -78,7 +78,7 @@ def conversion_factor(unit: str, target: str) -> float:
         zero, one = (registry.Quantity(v, unit or "dimensionless").to(target or "dimensionless").m for v in (0.0, 1.0))
     except (pint.UndefinedUnitError, pint.DimensionalityError, pint.OffsetUnitCalculusError) as error:
         raise UsageError(f"unit {unit!r} cannot be converted to {target!r}: {error}") from None
-    except Exception as error:  # pint's parser lets tokeniser errors through
+    except Exception as error:  # pint does not catch the errors of the tokeniser
         text = f"unit {unit!r} cannot be converted to {target!r}: not written as a unit"
         raise UsageError(f"{text} ({error})" if str(error) else text) from None
     if zero != 0.0:

@@ -1,4 +1,4 @@
-"""The virtual test rig: the published machine with exact delays, its experiments and its sensors."""
+"""Virtual test rig: the published machine with exact delays, its experiments and its sensors."""
 
 from gbid.rig.excitation.hammer import Hammer, Impact
 from gbid.rig.excitation.prbs import Prbs, Stationary

@@ -1,4 +1,4 @@
-"""Faults of the measuring chain put into recordings on purpose, to see that they are found."""
+"""Faults of the measuring chain that are put into recordings on purpose, to test whether they are detected."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True)
 class Faults:
-    """What goes wrong when a recording is made; nothing by default.
+    """Faults of a recording; by default there are none.
 
     Parameters
     ----------
     swapped : tuple of str
-        Signals whose channels x and y change places, e.g. ``("p",)``.
+        Signals whose channels x and y are exchanged, e.g. ``("p",)``.
     dead : dict of str to float
-        Channels (``"p.x"``) that stay at a value [unit of the signal].
+        Channels (``"p.x"``) that stay at a constant value [unit of the signal].
     saturation : dict of str to float
-        Channels (``"p.x"``) that end at plus and minus a value.
+        Channels (``"p.x"``) that are limited to plus and minus a value [unit of the signal].
     spikes_per_s : float
-        Single wrong samples of p, on average per second, at random in x or y.
+        Mean number per second of single wrong samples of p, at random times in x or y.
     spike_size : float
-        How far off they are [m], either way.
+        Deviation of these samples [m], with random sign.
     sample_time_factor : float
-        Sample time that the file states, over the true one.
+        Ratio of the sample time stated in the file to the true one.
     missing_index : bool
-        The encoder never saw its index: phi starts from an angle of no meaning, another one in each recording.
+        Whether the encoder has lost its index. Then phi has a constant error, different in each recording.
     rub_clearance : float or None
-        The disc touches already here [m], and the recording is kept.
+        Smaller clearance at which the disc touches [m]. The recording is kept.
 
     Raises
     ------
     UsageError
-        For a channel not written as signal.x, or a value that makes no sense.
+        When a channel is not written as ``signal.channel``, or when a value is not allowed.
     """
 
     swapped: tuple[str, ...] = ()
@@ -65,7 +65,7 @@ class Faults:
 
 
 def with_faults(recording: Recording, faults: Faults, random: np.random.Generator) -> Recording:
-    """Put faults of sensors and logger into a recording; what was done is told in its provenance.
+    """Return a recording with faults of sensors and logger; its provenance lists them.
 
     Raises
     ------
@@ -80,34 +80,34 @@ def with_faults(recording: Recording, faults: Faults, random: np.random.Generato
             raise UsageError(f"faults: recording {recording.name!r} has no channel {channel}")
         return np.asarray(signals[name][:, recording.channels[name].index(which)])
 
-    told = []
+    applied = []
     for channel, limit in faults.saturation.items():
         column(channel)[:] = np.clip(column(channel), -abs(limit), abs(limit))
-        told.append(f"{channel} saturated at {abs(limit):g}")
+        applied.append(f"{channel} saturated at {abs(limit):g}")
     if faults.spikes_per_s:
         p, dt = signals["p"], recording.sample_time
         hit = random.random(p.shape) < 0.5 * faults.spikes_per_s * dt
         p[hit] += faults.spike_size * random.choice([-1.0, 1.0], size=int(hit.sum()))
-        told.append(f"{int(hit.sum())} spikes of {faults.spike_size:g} m in p")
+        applied.append(f"{int(hit.sum())} spikes of {faults.spike_size:g} m in p")
     for channel, value in faults.dead.items():
         column(channel)[:] = value
-        told.append(f"{channel} dead at {value:g}")
+        applied.append(f"{channel} dead at {value:g}")
     if faults.missing_index and "phi" in signals:
         counts = random.integers(0, 4096)
         signals["phi"] = np.mod(signals["phi"] + counts * (TURN / 4096), TURN)
-        told.append("encoder index missing")
+        applied.append("encoder index missing")
     for name in faults.swapped:
         if name not in signals or signals[name].shape[1] != 2:
             raise UsageError(f"faults: recording {recording.name!r} has no signal {name} with two channels to swap")
         signals[name] = signals[name][:, ::-1]
-        told.append(f"x and y of {name} swapped")
+        applied.append(f"x and y of {name} swapped")
     if faults.sample_time_factor != 1.0:
-        told.append(f"sample time stated {faults.sample_time_factor:g} times too long")
-    if not told:
+        applied.append(f"sample time stated {faults.sample_time_factor:g} times too long")
+    if not applied:
         return recording
     return replace(
         recording,
         signals=signals,
         sample_time=recording.sample_time * faults.sample_time_factor,
-        provenance={**recording.provenance, "faults": "; ".join(told)},
+        provenance={**recording.provenance, "faults": "; ".join(applied)},
     )

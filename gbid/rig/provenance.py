@@ -1,4 +1,4 @@
-"""What a recording of the rig says about how it was made, and how to read it."""
+"""Provenance of a rig recording: how it was made, written as texts and read back."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def provenance_of(
     touched: Sequence[Span],
     saturated: Mapping[str, Sequence[Span]],
 ) -> dict[str, str]:
-    """Gather the texts that go with a recording; values as JSON."""
-    told = {
+    """Return the texts that are stored with a recording; values are JSON."""
+    texts = {
         "source": "gbid virtual rig",
         "seed": str(seed),
         "simulation": how,
@@ -42,53 +42,56 @@ def provenance_of(
         "truth": as_json(machine.rotor_bearing.key_parameters()),
     }
     if controller is not None:
-        told["controller"] = as_json(asdict(controller))
+        texts["controller"] = as_json(asdict(controller))
     if scatter is not None:
-        told["scatter"] = as_json({**asdict(scatter), "draws_thrown_away": thrown})
+        texts["scatter"] = as_json({**asdict(scatter), "draws_thrown_away": thrown})
     if touched:
-        told["touch_down"] = as_json(touched)
+        texts["touch_down"] = as_json(touched)
     if saturated:
-        told["saturated"] = as_json(saturated)
-    return told
+        texts["saturated"] = as_json(saturated)
+    return texts
 
 
 def spans(time: FloatArray, inside: np.ndarray, sample_time: float) -> list[Span]:
-    """Join samples in a row to spans of time (first, end) [s]."""
+    """Return the time intervals (first, end) [s] of consecutive samples that are marked as inside."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
     return [(float(time[a]), float(time[b - 1] + sample_time)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
 def touch_downs(recording: Recording) -> list[Span]:
-    """Spans of time (first, end) [s] in which the disc touched the bearing; empty when it never did.
+    """Return the time intervals (first, end) [s] in which the disc touched the bearing; empty when it never did.
 
     Parameters
     ----------
     recording : Recording
+        Recording of the rig.
     """
     return [(float(a), float(b)) for a, b in json.loads(recording.provenance.get("touch_down", "[]"))]
 
 
 def saturations(recording: Recording) -> dict[str, list[Span]]:
-    """Spans of time (first, end) [s] in which a stack was at an end, by its number; empty when none was.
+    """Return the time intervals (first, end) [s] in which a stack was saturated, by the number of the stack.
 
     Parameters
     ----------
     recording : Recording
+        Recording of the rig.
     """
-    found = json.loads(recording.provenance.get("saturated", "{}"))
-    return {stack: [(float(a), float(b)) for a, b in times] for stack, times in found.items()}
+    stored = json.loads(recording.provenance.get("saturated", "{}"))
+    return {stack: [(float(a), float(b)) for a, b in times] for stack, times in stored.items()}
 
 
 def drawn_truth(recording: Recording) -> dict[str, float]:
-    """Fourteen key parameters that a recording of the rig was made with, by name; empty when it tells none.
+    """Return the fourteen true key parameters of a recording by name; empty when the recording does not store them.
 
     Parameters
     ----------
     recording : Recording
+        Recording of the rig.
     """
     return {name: float(v) for name, v in json.loads(recording.provenance.get("truth", "{}")).items()}
 
 
 def as_json(value: Any) -> str:
-    """Write values and arrays as one line of JSON, keys sorted."""
+    """Return values and arrays as one line of JSON with sorted keys."""
     return json.dumps(value, default=lambda array: np.asarray(array).tolist(), sort_keys=True)

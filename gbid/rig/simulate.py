@@ -1,4 +1,4 @@
-"""One recording of the virtual rig, as the data logger of the real one would store it."""
+"""Simulation of one recording, as the data logger of the real rig would store it."""
 
 from __future__ import annotations
 
@@ -48,64 +48,65 @@ def record(
     simulation: Simulation = "auto",
     engine: RigEngine = "auto",
 ) -> Recording:
-    """Make one recording (paper, Secs. 2, 3.1, 3.4, 3.5 and 5.1).
+    """Return one simulated recording (paper, Secs. 2, 3.1, 3.4, 3.5 and 5.1).
 
-    The experiment runs for `settle_s` before the logger starts, so the recording begins in motion. The shaft
-    turns from an angle that differs from recording to recording. A machine whose parts are all linear, in open
-    loop, is simulated in closed form (`gbid.rig.driven_motion`), any other step by step
+    The experiment runs for `settle_s` before the logger starts, so the recording begins in motion. The initial shaft
+    angle differs from recording to recording. When all parts of the machine are linear and there is no control loop,
+    the motion is computed in closed form (`gbid.rig.driven_motion`). Otherwise it is computed by time stepping
     (`gbid.rig.stepped_motion`).
 
     Parameters
     ----------
     machine : Machine
-        The rig, with the parameters that hold at the operating point.
+        The rig, with its parameters at the operating point.
     experiment : Stationary, Prbs, Staircase, StackStaircase, Hammer or RunUp
-        What the references do, what hits the rotor, and for how long.
+        References, impacts, rotation and length of the recording.
     conditions : dict of str to float
-        The operating point; ``speed_rpm`` is needed and turns the shaft (except in a run-up), all are stored.
+        The operating point. ``speed_rpm`` is required and sets the speed of the shaft (except in a run-up). All
+        entries are stored.
     seed : int
-        At least zero. Same seed, same name: the same recording, bit for bit.
+        Seed, at least zero. The same seed and name give the same recording, bit for bit.
     name : str
-        Name of the recording. Recordings of one seed with different names are independent: another sequence,
-        another noise, another angle.
+        Name of the recording. Recordings with one seed and different names are independent: they have different
+        sequences, noise and initial angles.
     sample_time : float
         Time between samples [s].
     oversampling : int
-        Points per sample, at least 20. In closed form they are where the motion is looked at, else the steps.
+        Points per sample, at least 20: output points of the closed form, or time steps.
     settle_s : float
         Time of the experiment before the first sample [s], a whole number of samples or zero.
     controller : SampledController, optional
-        Closes the loop from the measured p to r, from the beginning of the settling time on.
+        Closes the loop from the measured p to r, from the start of the settling time.
     scatter : Scatter, optional
-        Draws the parameters of rotor and bearing anew for this recording; they are in the provenance.
+        Draws random parameters of rotor and bearing for this recording. They are stored in the provenance.
     faults : Faults, optional
         Faults of the measuring chain.
     touch_down : {"refuse", "flag"}
-        What to do when the disc uses up the clearance: refuse the recording, or let the bearing hold the disc
-        (`Machine.contact`) and say when in the provenance (`gbid.rig.touch_downs`).
+        What to do when the disc reaches the clearance. ``"refuse"`` raises an error. ``"flag"`` simulates the contact
+        (`Machine.contact`) and stores the times in the provenance (`gbid.rig.touch_downs`).
     stacks : bool
-        Whether the stacks' positions y_p, references r_p and voltages v are recorded as well; always so in a
-        `StackStaircase`.
+        Whether to record the positions y_p, references r_p and voltages v of the stacks as well. A `StackStaircase`
+        always records them.
     simulation : {"auto", "exact", "stepping"}
-        Stepping may be asked for where the closed form would do.
+        Method. ``"stepping"`` is also possible where the closed form exists.
     engine : {"auto", "compiled", "python"}
-        What runs the steps.
+        Program that computes the time steps.
 
     Returns
     -------
     Recording
-        Signals r (as applied: excitation and controller, held to the travel), u (piezo position, offset and
+        Signals r (as applied: excitation plus controller, limited to the travel), u (piezo position, offset and
         noise), p (disc position, run-out, offset and noise) [m], phi (encoder, within [0, 2 pi)) [rad]; in a
-        `Hammer` f (measured force, x and y) [N]; with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
+        `Hammer` test f (measured force, x and y) [N]; with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
         Provenance: ``rig`` (all parameters), ``truth`` (the fourteen key parameters as drawn), ``simulation``,
-        ``touch_down`` and ``saturated`` (spans of time, where there are any).
+        and where they occurred ``touch_down`` and ``saturated`` (time intervals).
 
     Raises
     ------
     UsageError
-        For a wrong argument, or a rotor that is unstable.
+        When an argument is wrong, or when the rotor is unstable.
     DataError
-        When the disc leaves the clearance of the bearing and is not to.
+        When the disc reaches the clearance of the bearing and `touch_down` is ``"refuse"``.
     """
     if seed < 0 or not name:
         raise UsageError(f"seed = {seed}, name = {name!r}; give a seed of at least zero and a name")
@@ -149,7 +150,7 @@ def record(
     logged = slice(n_settle, None)
     sensor = runout(sensors, angle) + sensors.offset_p
     sensor[logged] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_samples, 2))
-    # The probes are noisy before the logger starts as well, which only a controller sees.
+    # The probes have noise before the logger starts, too. It matters only for a controller.
     sensor[:n_settle] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_settle, 2))
 
     reasons = _reasons_to_step(machine, experiment, controller)
@@ -219,7 +220,7 @@ def record(
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What is simulated: the machine, its references from the beginning of the settling time, and the forces."""
+    """Input of a simulation: machine, references from the start of the settling time, and forces."""
 
     machine: Machine
     reference: FloatArray
@@ -231,7 +232,7 @@ class _Run:
 def _this_time(
     machine: Machine, scatter: Scatter | None, seed: int, name: str, conditions: Mapping[str, float]
 ) -> tuple[Machine, int]:
-    """Return the machine as it is in this recording, and how many draws were thrown away."""
+    """Return the machine of this recording, with its scatter, and the number of rejected draws."""
     if scatter is None:
         return machine, 0
     random = scatter_random(seed, name, conditions)
@@ -240,7 +241,7 @@ def _this_time(
 
 
 def _reasons_to_step(machine: Machine, experiment: Experiment, controller: SampledController | None) -> list[str]:
-    """Name what the closed form does not cover."""
+    """Return the names of the parts that have no closed form."""
     reasons = machine.beyond_closed_form()
     if isinstance(experiment, Hammer | RunUp | StackStaircase):
         reasons.append(type(experiment).__name__)
@@ -250,7 +251,7 @@ def _reasons_to_step(machine: Machine, experiment: Experiment, controller: Sampl
 
 
 def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
-    """Exact motion of a linear machine in open loop at constant speed."""
+    """Return the exact motion of a linear machine in open loop at constant speed."""
     machine, turning, over = run.machine, run.forces.turning, run.oversampling
     assert isinstance(machine.actuator, ActuatorTruth)
     sample_time = run.forces.sample_time
@@ -266,7 +267,7 @@ def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
 
 
 def _stack_references(experiment: Experiment, told: FloatArray) -> FloatArray:
-    """Give the references of the stacks [m]; none for a stack that runs open loop."""
+    """Return the references of the stacks [m]; zero for a stack in open loop."""
     if isinstance(experiment, StackStaircase) and not experiment.controlled:
         told = told.copy()
         told[:, experiment.stack - 1] = 0.0
@@ -274,7 +275,7 @@ def _stack_references(experiment: Experiment, told: FloatArray) -> FloatArray:
 
 
 def _speed(conditions: Mapping[str, float]) -> float:
-    """Speed of the shaft [rad/s]."""
+    """Return the speed of the shaft [rad/s]."""
     speed_rpm = conditions.get("speed_rpm")
     if speed_rpm is None or not np.isfinite(speed_rpm):
         raise UsageError(f"conditions: speed_rpm = {speed_rpm}; give the speed of the shaft, 0 for standstill")
@@ -282,11 +283,11 @@ def _speed(conditions: Mapping[str, float]) -> float:
 
 
 def _check_clearance(name: str, time: FloatArray, radius: FloatArray, clearance: float) -> None:
-    """Refuse a recording in which the rotor would touch the bearing."""
+    """Refuse a recording in which the disc reaches the clearance."""
     worst = int(radius.argmax())
     if not radius[worst] < clearance:
         raise DataError(
             f"recording {name!r}: the disc moves {radius[worst] * 1e6:.1f} um at {time[worst]:.4f} s and "
-            f"uses up the clearance of {clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold, or "
-            "have it flagged (touch_down: flag)"
+            f"reaches the clearance of {clearance * 1e6:.1f} um; lower the amplitude or lengthen the hold, or "
+            "simulate the contact (touch_down: flag)"
         )

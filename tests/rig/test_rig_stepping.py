@@ -326,7 +326,7 @@ def test_touch_down_is_refused_or_flagged():
     args = {"conditions": FIG7, "seed": 0, "name": "a"}
     wild = Prbs(2.0, amplitude=6e-6, hold_s=4e-3)
     for rig in (machine(), whole(stiffening=None)):
-        with pytest.raises(DataError, match=r"recording 'a': the disc moves .* uses up the clearance"):
+        with pytest.raises(DataError, match=r"recording 'a': the disc moves .* reaches the clearance"):
             record(rig, wild, **args)
         made = record(rig, wild, touch_down="flag", **args)
         spans = touch_downs(made)

@@ -1,1 +1,1 @@
-"""What drives a recording of the rig: PRBS, staircases, hammer impacts, run-ups."""
+"""Excitation of the virtual rig: PRBS, staircases, hammer impacts and run-ups."""

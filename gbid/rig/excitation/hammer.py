@@ -1,4 +1,4 @@
-"""Impacts with a measured force (paper, Sec. 5.1)."""
+"""Hammer impacts with a measured force (paper, Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from gbid.rig.machine.effects import need_finite
 
 @dataclass(frozen=True)
 class Impact:
-    """One impact: a half sine of force on the rotor, without delay.
+    """One impact on the rotor: a half sine of force, without delay.
 
     Parameters
     ----------
     time : float
-        Beginning, from the first sample [s].
+        Start of the impact, from the first sample [s].
     peak : float
         Largest force [N].
     duration : float
         Length of the half sine [s].
     direction : float
-        Angle of the force from the x axis [rad]; pi/2 is along y.
+        Angle between the force and the x axis [rad]; pi/2 is along y.
     """
 
     time: float = 0.1
@@ -39,30 +39,31 @@ class Impact:
 
     @classmethod
     def along(cls, axis: str, time: float = 0.1, peak: float = 8.0, duration: float = 2e-3) -> Impact:
-        """Build an impact along an axis, ``"x"`` or ``"y"``.
+        """Return an impact along the axis ``"x"`` or ``"y"``.
 
         Parameters
         ----------
         axis : {"x", "y"}
+            Direction of the force.
         time, peak, duration : float
             Start [s], largest force [N] and length [s] of the impact.
 
         Raises
         ------
         UsageError
-            For another axis.
+            When `axis` is neither ``"x"`` nor ``"y"``.
         """
         if axis not in ("x", "y"):
             raise UsageError(f"impact: axis = {axis!r}; choose 'x' or 'y'")
         return cls(time, peak, duration, 0.0 if axis == "x" else np.pi / 2)
 
     def force(self, time: FloatArray) -> FloatArray:
-        """Give the force at times from the first sample [s], shape (n, 2) [N].
+        """Return the force of the impact along x and y, shape (n, 2) [N].
 
         Parameters
         ----------
         time : (n,) array
-            [s].
+            Times from the first sample [s].
         """
         since = time - self.time
         inside = (since > 0) & (since < self.duration)
@@ -74,18 +75,19 @@ class Impact:
 
 @dataclass(frozen=True)
 class Hammer:
-    """Piezo references at zero (or what a controller makes of it), and impacts.
+    """Hammer test: impacts on the rotor, with the excitation of the piezos at zero.
 
     Parameters
     ----------
     impacts : tuple of Impact
+        The impacts.
     duration_s : float
         Length of the recording [s].
 
     Raises
     ------
     UsageError
-        Without impacts, or when one begins after the end.
+        When there are no impacts, or when an impact starts after the end of the recording.
     """
 
     impacts: tuple[Impact, ...] = (Impact(),)
@@ -102,16 +104,16 @@ class Hammer:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Give the references r, all zero, shape (n_samples, 2) [m]."""
+        """Return the references r, all zero, shape (n_samples, 2) [m]."""
         del sample_time, random, n_settle
         return np.zeros((n_samples, 2))
 
     def force(self, time: FloatArray) -> FloatArray:
-        """Give the force of all impacts at times from the first sample [s], shape (n, 2) [N].
+        """Return the force of all impacts along x and y, shape (n, 2) [N].
 
         Parameters
         ----------
         time : (n,) array
-            [s].
+            Times from the first sample [s].
         """
         return np.asarray(sum((impact.force(time) for impact in self.impacts), np.zeros((len(time), 2))))

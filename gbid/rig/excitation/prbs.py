@@ -1,4 +1,4 @@
-"""Experiments of the virtual rig: what the piezo references do (paper, Secs. 3.4 and 3.5)."""
+"""Stationary recording and pseudo-random binary excitation of the piezo references (paper, Secs. 3.4 and 3.5)."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from gbid.errors import UsageError
 
 
 def whole_samples(what: str, seconds: float, sample_time: float) -> int:
-    """Count the samples in a time that must be a whole number of them, at least one.
+    """Return the number of samples in a time, which must be a whole number of at least one.
 
     Raises
     ------
     UsageError
-        When it is not.
+        When the time is not a whole number of samples.
     """
     count = round(seconds / sample_time) if np.isfinite(seconds) else 0
     if count < 1 or abs(count * sample_time - seconds) > 1e-6 * sample_time:
@@ -29,7 +29,7 @@ def whole_samples(what: str, seconds: float, sample_time: float) -> int:
 
 @dataclass(frozen=True)
 class Stationary:
-    """Piezos kept still, to map run-out and unbalance over the shaft angle (Sec. 3.5).
+    """Recording without excitation, used to map run-out and unbalance over the shaft angle (Sec. 3.5).
 
     Parameters
     ----------
@@ -42,29 +42,29 @@ class Stationary:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Give the references r, all zero, shape (n_samples, 2) [m]."""
+        """Return the references r, all zero, shape (n_samples, 2) [m]."""
         del sample_time, random, n_settle
         return np.zeros((n_samples, 2))
 
 
 @dataclass(frozen=True)
 class Prbs:
-    """Pseudo-random binary references, mutually independent in x and y (Sec. 3.4).
+    """Pseudo-random binary sequences as references, independent in x and y (Sec. 3.4).
 
-    At fixed instants each reference takes one of two levels, both equally likely, whatever it was before and
-    whatever the other one does.
+    At fixed instants each reference takes one of two levels. Both levels are equally likely. The choice does not
+    depend on earlier levels or on the other axis.
 
     Parameters
     ----------
     duration_s : float
         Length of the recording [s].
     amplitude : float
-        The levels are +- this [m]. The paper steps from -1 V to 1 V; 10 V are 45 um.
+        The levels are plus and minus this value [m]. The paper steps from -1 V to 1 V; 10 V are 45 um.
     hold_s : float
         Time between the instants [s], a whole number of samples. The paper does not give it. On the published
-        model at 1 V, steps every 5 ms feed the resonances near 125 Hz until the disc uses up the clearance of
-        25 um (it moves 26 um at 5 bar, 29 um at 7 bar, 6000 rpm); steps every 20 ms move it by 11 to 16 um at
-        the 15 operating points, 11 to 19 um with the default unbalance.
+        model at 1 V, steps every 5 ms excite the resonances near 125 Hz until the disc reaches the clearance of
+        25 um (it moves 26 um at 5 bar, 29 um at 7 bar, 6000 rpm). Steps every 20 ms move it by 11 to 16 um at
+        the 15 operating points, and by 11 to 19 um with the default unbalance.
 
     Raises
     ------
@@ -83,18 +83,18 @@ class Prbs:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Draw the references r, shape (n_samples, 2) [m].
+        """Return random references r, shape (n_samples, 2) [m].
 
         Parameters
         ----------
         n_samples : int
             Number of samples.
         sample_time : float
-            Time between them [s].
+            Time between samples [s].
         random : numpy.random.Generator
             Seeded source of the levels.
         n_settle : int
-            How many of the samples come before the logger starts; the sequence runs through.
+            Number of these samples that come before the logger starts. The sequence does not depend on it.
 
         Raises
         ------

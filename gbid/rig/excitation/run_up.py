@@ -1,4 +1,4 @@
-"""Turning of the shaft: at constant speed, or running up."""
+"""Rotation of the shaft: at constant speed, or during a run-up."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ RPM = np.pi / 30
 
 @dataclass(frozen=True)
 class RunUp:
-    """Speed that rises (or falls) evenly from one value to another, references at zero.
+    """Run-up: the speed changes at a constant rate, and the references are zero.
 
-    The parameters of rotor and bearing stay those of the machine: they do not follow the speed.
+    The parameters of rotor and bearing do not follow the speed: they stay those of the machine.
 
     Parameters
     ----------
     from_rpm, to_rpm : float
-        Speeds at the first sample and at the end [rpm].
+        Speeds at the first sample and at the end [rpm]; the speed may rise or fall.
     duration_s : float
         Length of the recording [s].
     """
@@ -36,26 +36,28 @@ class RunUp:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Give the references r, all zero, shape (n_samples, 2) [m]."""
+        """Return the references r, all zero, shape (n_samples, 2) [m]."""
         del sample_time, random, n_settle
         return np.zeros((n_samples, 2))
 
     def turning(self) -> Turning:
-        """Return how the shaft turns."""
+        """Return the shaft angle, speed and acceleration over time."""
         slope = (self.to_rpm - self.from_rpm) * RPM / self.duration_s
         return Turning(self.from_rpm * RPM, slope)
 
 
 @dataclass(frozen=True)
 class Turning:
-    """Angle, speed and acceleration of the shaft over time from the first sample; constant speed before it.
+    """Rotation of the shaft: angle, speed and acceleration over time.
+
+    The speed is constant before the first sample.
 
     Parameters
     ----------
     speed : float
-        At the first sample [rad/s].
+        Speed at the first sample [rad/s].
     acceleration : float
-        From there on [rad/s^2].
+        Angular acceleration after the first sample [rad/s^2].
     start : float
         Angle at the first sample [rad].
     """
@@ -65,13 +67,13 @@ class Turning:
     start: float = 0.0
 
     def angle(self, time: FloatArray) -> FloatArray:
-        """Shaft angle [rad], not wrapped, shape of `time`."""
+        """Return the shaft angle at times from the first sample [rad], not wrapped, shape of `time`."""
         return self.start + self.speed * time + 0.5 * self.acceleration * np.maximum(time, 0.0) ** 2
 
     def speed_at(self, time: FloatArray) -> FloatArray:
-        """Speed [rad/s], shape of `time`."""
+        """Return the speed at times from the first sample [rad/s], shape of `time`."""
         return self.speed + self.acceleration * np.maximum(time, 0.0)
 
     def acceleration_at(self, time: FloatArray) -> FloatArray:
-        """Angular acceleration [rad/s^2], shape of `time`."""
+        """Return the angular acceleration at times from the first sample [rad/s^2], shape of `time`."""
         return np.where(time > 0, self.acceleration, 0.0)

@@ -1,4 +1,4 @@
-"""Staircases up and down: of a pair of piezos (paper, Sec. 3.1) and of one stack (Figs. A.28, A.29)."""
+"""Staircase references: for a pair of piezos (paper, Sec. 3.1) and for one stack (Figs. A.28, A.29)."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from gbid.rig.machine.effects import need_finite
 
 
 def up_and_down(lowest: float, step: float, n_steps: int) -> FloatArray:
-    """Levels of a staircase of n steps up and as many down, shape (2 n + 1,)."""
+    """Return the levels of n steps up and n steps down, shape (2 n + 1,)."""
     up = lowest + step * np.arange(n_steps + 1)
     return np.concatenate([up, up[-2::-1]])
 
 
 @dataclass(frozen=True)
 class Staircase:
-    """Reference of one axis stepwise from -n steps to +n steps and back, the other at zero (Sec. 3.1, Fig. 5).
+    """Staircase of one axis from -n steps to +n steps and back, with the other axis at zero (Sec. 3.1, Fig. 5).
 
     Parameters
     ----------
     axis : {"x", "y"}
+        The axis that moves.
     step : float
         Height of a step [m].
     steps : int
-        n, steps from the middle to either end.
+        n, the number of steps from the middle to either end.
     hold_s : float
         Time on each level [s], a whole number of samples.
     """
@@ -46,7 +47,7 @@ class Staircase:
 
     @property
     def levels(self) -> FloatArray:
-        """Levels in order [m], shape (4 n + 1,)."""
+        """Levels in the order of time [m], shape (4 n + 1,)."""
         return up_and_down(-self.steps * self.step, self.step, 2 * self.steps)
 
     @property
@@ -57,7 +58,7 @@ class Staircase:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Give the references r, at the first level before the logger starts, shape (n_samples, 2) [m]."""
+        """Return the references r, shape (n_samples, 2) [m]; the first level holds before the logger starts."""
         del random
         r = np.zeros((n_samples, 2))
         r[:, "xy".index(self.axis)] = held_levels(self.levels, self.hold_s, sample_time, n_samples, n_settle)
@@ -66,19 +67,19 @@ class Staircase:
 
 @dataclass(frozen=True)
 class StackStaircase:
-    """One stack stepwise over its whole range and back, the others at r_0 (Figs. A.28 and A.29).
+    """Staircase of one stack over its whole range and back, with the other stacks at r_0 (Figs. A.28 and A.29).
 
-    Open loop its voltage goes from zero to its limit, controlled its reference from zero to its stroke. Needs a
-    machine with `PiezoStacks`; stacks are recorded (v, y_p, r_p).
+    In open loop the voltage of the stack goes from zero to its limit. With the PD controller on, its reference goes
+    from zero to its stroke. The machine must have `PiezoStacks`. The recording has the signals v, y_p and r_p.
 
     Parameters
     ----------
     stack : int
-        1 to 4.
+        Number of the stack, 1 to 4.
     controlled : bool
-        Whether its PD controller is on.
+        Whether the PD controller of the stack is on.
     steps : int
-        Steps from zero to the end; an even number has a level in the middle.
+        Number of steps from zero to the end. An even number has a level in the middle.
     hold_s : float
         Time on each level [s], a whole number of samples.
     """
@@ -101,22 +102,23 @@ class StackStaircase:
     def reference(
         self, n_samples: int, sample_time: float, random: np.random.Generator, n_settle: int = 0
     ) -> FloatArray:
-        """Give the pairs' references r, all zero, shape (n_samples, 2) [m]."""
+        """Return the references r of the pairs, all zero, shape (n_samples, 2) [m]."""
         del sample_time, random, n_settle
         return np.zeros((n_samples, 2))
 
     def command(self, top: float, n_samples: int, sample_time: float, n_settle: int) -> FloatArray:
-        """Give what the stack is told, from zero to `top` and back, shape (n_samples,) [V or m].
+        """Return the command of the stack, from zero to `top` and back, shape (n_samples,) [V or m].
 
         Parameters
         ----------
         top : float
             Highest level [V or m].
         n_samples : int
+            Number of samples.
         sample_time : float
-            [s].
+            Time between samples [s].
         n_settle : int
-            Samples before the logger starts.
+            Number of samples before the logger starts.
         """
         return held_levels(
             up_and_down(0.0, top / self.steps, self.steps), self.hold_s, sample_time, n_samples, n_settle
@@ -124,12 +126,14 @@ class StackStaircase:
 
 
 def held_levels(levels: FloatArray, hold_s: float, sample_time: float, n_samples: int, n_settle: int) -> FloatArray:
-    """Hold each level for a time, the first one also before the logger starts.
+    """Return levels over time, each held for `hold_s`, shape (n_samples,).
+
+    The first level also holds before the logger starts, the last one until the end.
 
     Raises
     ------
     UsageError
-        When the time is not a whole number of samples.
+        When `hold_s` is not a whole number of samples.
     """
     hold = whole_samples("staircase: hold_s", hold_s, sample_time)
     held = np.concatenate([np.full(n_settle, levels[0]), np.repeat(levels, hold)])

@@ -1,1 +1,1 @@
-"""The machine of the virtual rig: truth, piezo stacks, sensors, and what differs between recordings."""
+"""Machine of the virtual rig: true parameters, piezo stacks, sensors, and scatter between recordings."""

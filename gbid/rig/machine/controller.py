@@ -1,4 +1,4 @@
-"""A digital controller in the rig's loop."""
+"""Sampled feedback controller of the rig."""
 
 from __future__ import annotations
 
@@ -14,30 +14,31 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class SampledController:
-    r"""Discrete controller from the measured disc position to the references.
+    r"""Discrete-time controller from the measured disc position to the references.
 
     .. math:: x_{k+1} = A x_k + B e_k, \quad w_k = C x_k + D e_k, \quad
               e_k = p_k - \mathcal F_r(\phi_k) - p_0
 
-    Its output w_k is added to the excitation one sample later (computing takes a sample) and the sum is held to
-    the travel of the stacks. Positive gains are positive feedback, as in the paper (Sec. 5).
+    The output w_k is added to the excitation one sample later, because the computation takes one sample. The sum is
+    limited to the travel of the stacks. Positive gains mean positive feedback, as in the paper (Sec. 5).
 
     Parameters
     ----------
     A, B, C, D : (n, n), (n, 2), (2, n), (2, 2) array
-        n may be zero.
+        State-space matrices; n may be zero.
     sample_time : float
-        [s]; must be the logger's.
+        Time between samples [s]; it must be that of the logger.
     runout : (n_bins, 2) array, optional
-        F_r [m] at the shaft angles 2 pi i/n_bins as the encoder shows them; a straight line in between.
+        F_r [m] at the shaft angles 2 pi i/n_bins of the encoder, with linear interpolation in between.
     offset : (2,) array
         p_0 [m].
     name : str
+        Name of the controller.
 
     Raises
     ------
     UsageError
-        For shapes that do not fit, values that are not finite, a sample time that is not positive.
+        When shapes do not fit, values are not finite, or the sample time is not positive.
     """
 
     A: FloatArray
@@ -67,12 +68,12 @@ class SampledController:
             raise UsageError(f"sampled controller: sample_time = {self.sample_time} s; it must be positive")
 
     def subtracted(self, angle: FloatArray) -> FloatArray:
-        """Return what is taken off the measured position at shown angles [rad], shape (n, 2) [m].
+        """Return the correction that the controller subtracts from the measured position, shape (n, 2) [m].
 
         Parameters
         ----------
         angle : (n,) array
-            Shaft angle as the encoder shows it [rad].
+            Shaft angle that the encoder shows [rad].
         """
         if self.runout is None:
             return np.tile(np.asarray(self.offset), (len(angle), 1))

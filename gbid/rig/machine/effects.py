@@ -1,4 +1,4 @@
-"""What a real rotor does beyond the model of Eq. 5: flexible shaft, stiffening film, whirl, noise and contact."""
+"""Effects of a real rotor beyond Eq. 5: flexible shaft, stiffening film, whirl, noise and contact."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ from gbid.errors import UsageError
 
 
 def need_finite(owner: str, part: object, positive: tuple[str, ...] = (), not_negative: tuple[str, ...] = ()) -> None:
-    """Refuse fields that are not finite or have the wrong sign.
+    """Check that fields of a value are finite and have the right sign.
 
     Raises
     ------
     UsageError
+        When a field is not finite, or is negative, or is zero although it must be positive.
     """
     for name in (*positive, *not_negative):
         value = getattr(part, name)
@@ -26,20 +27,21 @@ def need_finite(owner: str, part: object, positive: tuple[str, ...] = (), not_ne
 
 @dataclass(frozen=True)
 class FlexibleMode:
-    r"""A bending mode of the shaft that the model leaves out, alike in x and y.
+    r"""Bending mode of the shaft that the model of Eq. 5 does not have, equal in x and y.
 
     .. math:: \ddot \eta + 2 \zeta \omega \dot\eta + \omega^2 \eta = m\, a, \qquad p = q + \eta
 
-    with a all forces per moving mass (film, unbalance, impacts): below omega it adds compliance only.
+    Here a is the sum of all forces per moving mass (film, unbalance, impacts). Below omega the mode only adds
+    compliance.
 
     Parameters
     ----------
     frequency_hz : float
         Natural frequency [Hz].
     damping : float
-        zeta.
+        Damping ratio zeta.
     share : float
-        m, modal participation: acceleration of the disc by this mode over that by the model's.
+        Modal participation m: acceleration of the disc by this mode over that by the mode of the model.
     """
 
     frequency_hz: float = 480.0
@@ -52,16 +54,16 @@ class FlexibleMode:
 
 @dataclass(frozen=True)
 class FilmStiffening:
-    r"""A gas film that grows stiffer away from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
+    """Gas film whose stiffness grows with the distance from the centre: ``K (1 + |q|^2/l^2)`` in place of ``K``.
 
-    Given by what a staircase shows (Sec. 3.1): where a linear film would let the disc rest at `at`, it rests
-    short of that by `deviation`. The straight line that fits a staircase best is off by less. The static
-    error in the paper is below 0.95 um.
+    It is given by the deviation that a staircase shows (Sec. 3.1). Where a linear film would let the disc rest at
+    `at`, the disc rests short of it by `deviation`. The best straight line through a staircase has smaller errors.
+    The static error in the paper is below 0.95 um.
 
     Parameters
     ----------
     deviation, at : float
-        [m].
+        Deviation from the linear position, and the linear position itself [m].
 
     Raises
     ------
@@ -79,30 +81,30 @@ class FilmStiffening:
 
     @property
     def inverse_square_length(self) -> float:
-        """1/l^2 [1/m^2]."""
+        """1/l^2 [1/m^2], the coefficient of the stiffening."""
         rest = self.at - self.deviation
         return self.deviation / rest**3
 
 
 @dataclass(frozen=True)
 class NonSynchronous:
-    r"""Whirl that does not turn with the shaft: small slow deviations of the orbit near 4000 rpm (Sec. 4).
+    r"""Non-synchronous whirl: small slow deviations of the orbit near 4000 rpm (Sec. 4).
 
-    A force per mass -K w(t) that would move the disc quasi-statically by
+    A force per mass -K w(t) acts on the rotor. It would move the disc quasi-statically by
 
     .. math:: w = s(n)\, \mathrm{Re}/\mathrm{Im}\left(z(t) e^{i \rho \phi}\right), \quad
               s(n) = \text{size} \cdot e^{-(n - n_0)^2 / (2 \Delta n^2)}
 
-    with z a complex first-order random process of unit variance and the given bandwidth.
+    Here z is a complex first-order random process of unit variance and the given bandwidth.
 
     Parameters
     ----------
     size : float
-        rms of ``|w|`` where it is largest [m].
+        Largest rms value of ``|w|`` over the speed [m].
     peak_rpm, width_rpm : float
-        n_0 and Delta n of speeds where it is felt [rpm].
+        n_0 and Delta n, centre and width of the speed range [rpm].
     ratio : float
-        rho, whirl frequency over that of the shaft.
+        rho, whirl frequency over shaft frequency.
     bandwidth_hz : float
         Corner frequency of z [Hz].
     """
@@ -117,14 +119,14 @@ class NonSynchronous:
         need_finite("non-synchronous", self, ("width_rpm", "bandwidth_hz"), ("size", "peak_rpm", "ratio"))
 
     def size_at(self, speed: FloatArray) -> FloatArray:
-        """Return s at speeds [rad/s], shape of `speed` [m]."""
+        """Return s at given speeds [rad/s], shape of `speed` [m]."""
         rpm = np.abs(speed) * (30.0 / np.pi)
         return np.asarray(self.size * np.exp(-0.5 * ((rpm - self.peak_rpm) / self.width_rpm) ** 2))
 
 
 @dataclass(frozen=True)
 class ProcessNoise:
-    """Broadband force on the rotor, white up to about the sampling frequency, independent in x and y.
+    """Broadband force noise on the rotor, white up to about the sampling frequency, independent in x and y.
 
     Parameters
     ----------
@@ -140,14 +142,14 @@ class ProcessNoise:
 
 @dataclass(frozen=True)
 class Contact:
-    """What the bearing does to the disc once the clearance is used up: a stiff wall, without friction.
+    """Contact of disc and bearing beyond the clearance: a stiff wall without friction.
 
     Parameters
     ----------
     stiffness : float
-        Force per depth [N/m].
+        Contact force per depth [N/m].
     damping : float
-        Force per speed into the wall [N s/m]; the wall never pulls.
+        Contact force per speed into the wall [N s/m]. The wall never pulls.
     """
 
     stiffness: float = 1e8

@@ -1,4 +1,4 @@
-"""The machine that the virtual rig simulates: true parameters, never estimates."""
+"""Machine of the virtual rig, given by its true parameters."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gbid.rig.machine.sensors import SensorChain
 
 
 def fixed_array(owner: str, name: str, values: npt.ArrayLike, shape: tuple[int, ...]) -> FloatArray:
-    """Read-only float array of a given shape.
+    """Return a read-only float array of a given shape.
 
     Raises
     ------
@@ -35,11 +35,11 @@ def fixed_array(owner: str, name: str, values: npt.ArrayLike, shape: tuple[int, 
 
 @dataclass(frozen=True, eq=False)
 class RotorBearingTruth:
-    r"""Rotor and gas bearing at one operating point (paper, Eqs. 5 to 8), with exact delays.
+    r"""True parameters of rotor and gas bearing at one operating point (paper, Eqs. 5 to 8), with exact delays.
 
     .. math:: \ddot p = K p + D \dot p + B u_\tau, \quad u_\tau = [u_x(t - \tau_x), u_y(t - \tau_y)]
 
-    All per kg of moving mass, in the paper's sign: stiffness and damping have negative diagonals.
+    All are per kg of moving mass, with the sign of the paper: stiffness and damping have negative diagonals.
 
     Parameters
     ----------
@@ -50,12 +50,12 @@ class RotorBearingTruth:
     input_gain : (2, 2) array
         B [N/(kg m)].
     delay : (2,) array
-        tau [s], at least zero; any real number, no multiple of a grid.
+        tau [s], at least zero. It need not be a multiple of the sample time.
 
     Raises
     ------
     UsageError
-        For wrong shapes, values that are not finite, negative delays.
+        When shapes are wrong, values are not finite, or a delay is negative.
     """
 
     stiffness: FloatArray
@@ -77,17 +77,17 @@ class RotorBearingTruth:
 
     @classmethod
     def from_parameters(cls, key_parameters: Mapping[str, Any]) -> RotorBearingTruth:
-        """Build it from ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
+        """Return the rotor and bearing with parameters given by name.
 
         Parameters
         ----------
         key_parameters : dict of str to float
-            SI.
+            ``k_xx`` to ``b_yy`` per kg, and ``tau_x``, ``tau_y`` [s], in SI units. Other entries are ignored.
 
         Raises
         ------
         UsageError
-            When one is missing.
+            When a parameter is missing.
         """
         named = _by_name("rotor bearing", key_parameters, _BEARING)
         K, D, B = (np.reshape([named[f"{letter}_{pair}"] for pair in _PAIRS], (2, 2)) for letter in "kdb")
@@ -100,7 +100,7 @@ class RotorBearingTruth:
         return {**named, "tau_x": float(self.delay[0]), "tau_y": float(self.delay[1])}
 
     def check_stable(self) -> None:
-        """Refuse a rotor that does not come to rest by itself.
+        """Check that the rotor is stable without control.
 
         Raises
         ------
@@ -117,21 +117,23 @@ class RotorBearingTruth:
 
 @dataclass(frozen=True, eq=False)
 class ActuatorTruth:
-    r"""Controlled piezo pairs from reference r to position difference u (paper, Eq. 12), one per axis.
+    r"""True parameters of the controlled piezo pairs, from reference r to position difference u (paper, Eq. 12).
 
     .. math:: G_{a,j}(s) = \frac{\kappa_j}{(s/p_{1,j} + 1)(s/p_{2,j} + 1)}
+
+    There is one pair per axis j.
 
     Parameters
     ----------
     slow_pole, fast_pole : (2,) array
-        p_1 and p_2 [rad/s], positive.
+        p_1 and p_2 of x and y [rad/s], positive.
     gain : (2,) array
-        kappa [m/m].
+        kappa of x and y [m/m].
 
     Raises
     ------
     UsageError
-        For wrong shapes, values that are not finite, poles that are not positive.
+        When shapes are wrong, values are not finite, or a pole is not positive.
     """
 
     slow_pole: FloatArray
@@ -148,17 +150,17 @@ class ActuatorTruth:
 
 @dataclass(frozen=True)
 class Unbalance:
-    """Mass unbalance of the rotor, felt as a force that turns with the shaft.
+    """Mass unbalance of the rotor: a force that rotates with the shaft.
 
-    Its acceleration is eccentricity * Omega^2, pointing at shaft angle phi + `phase`. Shared by x and y.
+    Its acceleration is eccentricity * Omega^2 and points at the shaft angle phi + `phase`. It acts on x and y.
 
     Parameters
     ----------
     eccentricity : float
         Unbalance over moving mass, m_u e_u / M [m]. The default is a well balanced rotor (about ISO 21940
-        grade G 1 at 6000 rpm), which so close to its resonances still orbits by 3 to 4 um.
+        grade G 1 at 6000 rpm). This close to the resonances its orbit still has a radius of 3 to 4 um.
     phase : float
-        Angle of the heavy spot on the shaft [rad].
+        Angle of the unbalance on the shaft [rad].
     """
 
     eccentricity: float = 1.5e-6
@@ -174,14 +176,14 @@ class Unbalance:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """All parts of the virtual test rig at one operating point.
+    """Machine of the virtual test rig at one operating point.
 
     Parameters
     ----------
     rotor_bearing : RotorBearingTruth
         Rotor and gas bearing.
     actuator : ActuatorTruth or PiezoStacks
-        Piezo pairs as linear filters (Table 2), or as four stacks with all that is not linear in them.
+        Piezo pairs, either as linear filters (Table 2) or as four nonlinear stacks.
     unbalance : Unbalance
         Mass unbalance.
     sensors : SensorChain
@@ -189,12 +191,12 @@ class Machine:
     clearance : float
         Radial clearance of the bearing [m]; 25 um in the paper, Sec. 2.
     moving_mass : float
-        Mass that an impact moves [kg]. Disc and shaft of Table 1 turn about the ball bearing at the other end
-        of the shaft, which makes 1.5 kg + 2.04 kg/3 at the disc.
+        Mass that an impact accelerates [kg]. The disc and the shaft of Table 1 rotate about the ball bearing at the
+        other end of the shaft, which makes 1.5 kg + 2.04 kg/3 at the disc.
     flexible_mode, stiffening, non_synchronous, process_noise : optional
-        What a real rotor does beyond Eq. 5; nothing by default.
+        Effects of a real rotor beyond Eq. 5; none by default.
     contact : Contact
-        What the disc meets where the clearance ends.
+        Contact of disc and bearing at the end of the clearance.
     """
 
     rotor_bearing: RotorBearingTruth
@@ -217,11 +219,11 @@ class Machine:
 
     @property
     def travel(self) -> float:
-        """Largest ``|r|`` that a controller may ask for [m]: that of the stacks, half of 45 um for linear actuators."""
+        """Largest ``|r|`` that a controller may command [m]; half of 45 um for linear actuators."""
         return self.actuator.travel if isinstance(self.actuator, PiezoStacks) else 22.5e-6
 
     def beyond_closed_form(self) -> list[str]:
-        """Name the parts whose motion has no closed form, so that it must be stepped."""
+        """Return the names of the parts that have no solution in closed form and need time stepping."""
         parts = {
             "piezo stacks": isinstance(self.actuator, PiezoStacks),
             "flexible mode": self.flexible_mode is not None,
@@ -241,17 +243,17 @@ class Machine:
         clearance: float = 25e-6,
         **parts: Any,
     ) -> Machine:
-        """Build a machine from parameters by name, as `gbid.LPVModel` and `gbid.FitResult` have them.
+        """Return a machine with parameters given by name, as in `gbid.LPVModel` and `gbid.FitResult`.
 
         Parameters
         ----------
         key_parameters : dict of str to float
-            ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]; others are left aside.
-        actuators : dict of str to float
-            ``p1_x``, ``p2_x``, ``kappa_x`` and those of y [rad/s, rad/s, m/m]; others are left aside. Or the
-            four stacks as they are.
+            ``k_xx`` to ``b_yy`` per kg, ``tau_x`` and ``tau_y`` [s]. Other entries are ignored.
+        actuators : dict of str to float, or PiezoStacks
+            ``p1_x``, ``p2_x`` [rad/s], ``kappa_x`` [m/m] and the same of y; other entries are ignored. Or the four
+            stacks.
         unbalance, sensors, clearance, **parts
-            As for `Machine`; the usual ones when not given.
+            Arguments of `Machine`; the defaults of `Machine` when not given.
 
         Returns
         -------
@@ -260,7 +262,7 @@ class Machine:
         Raises
         ------
         UsageError
-            When a parameter is missing, or a part of the machine refuses its value.
+            When a parameter is missing or has a wrong value.
         """
         return cls(
             RotorBearingTruth.from_parameters(key_parameters),

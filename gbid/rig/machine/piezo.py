@@ -1,4 +1,4 @@
-"""Four piezo stacks with hysteresis, creep, saturation and PD controllers (paper, Secs. 2 and Appendix A)."""
+"""Four piezo stacks with hysteresis, creep, saturation and PD controllers (paper, Sec. 2 and Appendix A)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 
 N_PLAYS = 10
-"""Play operators of one stack; the branches of the loop are broken lines with that many corners."""
+"""Number of play operators of one stack; each branch of the hysteresis loop is a polygon with this many corners."""
 
 ALLOCATION = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [-1.0, 0.0]])
-"""Which share of r_x and r_y the stacks 1 to 4 get, beside r_0 (Eq. 1)."""
+"""Factors of r_x and r_y in the references of the stacks 1 to 4, added to r_0 (Eq. 1)."""
 ALLOCATION.setflags(write=False)
 
 
 @dataclass(frozen=True)
 class PiezoStack:
-    r"""One stack with its amplifier, its PD controller and what is not linear in it.
+    r"""Nonlinear piezo stack with its amplifier and its PD controller.
 
     .. math::
 
@@ -30,37 +30,38 @@ class PiezoStack:
         \dot y &= \omega_f (\mathrm{sat}(H[a] + \textstyle\sum_k c_k) - y), \quad
         T_k \dot c_k = \gamma_k H[a] - c_k
 
-    H is a Prandtl-Ishlinskii operator: a spring and `N_PLAYS` one-sided plays of equal weight with thresholds
-    evenly over the voltage, which for loops inside the range is Rayleigh's law: a small loop has a slope below
-    the large one's, and a width that grows with its square.
+    H is a Prandtl-Ishlinskii operator: a spring and `N_PLAYS` one-sided plays of equal weight. The thresholds of the
+    plays are spaced evenly over the voltage. For loops inside the range this is Rayleigh's law: a small loop has a
+    smaller slope than a large one, and its width grows with the square of its size.
 
     Parameters
     ----------
     pd_gain, pd_zero, pd_pole : float
         P, z, p_p of Eq. A.1 [1, rad/s, rad/s]; Table A.5.
     pd_scale : float
-        c, volts that the controller's output means [V/m]. Table A.5 gives P in m/m and leaves it open.
+        c, voltage per unit of the output of the controller [V/m]. Table A.5 gives P in m/m and does not give c.
     slow_pole, fast_pole : float
-        omega_s of the amplifier with the stack's capacitance and omega_f of pin and stack [rad/s]. The zeros
-        of Table A.5 differ from stack to stack; each is taken to cancel its stack's slow pole.
+        omega_s of the amplifier with the capacitance of the stack, and omega_f of pin and stack [rad/s]. The zeros
+        of Table A.5 differ from stack to stack; each is assumed to cancel the slow pole of its stack.
     reference_gain : float
-        g, what the electronics make of a commanded position [m/m].
+        g, gain of the electronics on the commanded position [m/m].
     stroke : float
         Largest expansion [m]; 45 um in Sec. 2.
     voltage_limit : float
-        Largest voltage [V], the smallest is zero; 10 V in Sec. 2.
+        Largest voltage [V]; 10 V in Sec. 2. The smallest voltage is zero.
     hysteresis : float
         Largest difference between the branches of the fast loop over the whole voltage range [m]. Creep adds to
-        it: with steps of a second the default shows the 8.4 um of Fig. A.28.
+        it: with steps of one second the default gives the 8.4 um of Fig. A.28.
     creep : float
-        Expansion that follows slowly, over the fast one; "a few percent over minutes" (Appendix A).
+        Slow expansion over fast expansion; "a few percent over minutes" (Appendix A).
     creep_times : tuple of float
-        T_k [s]; the creep is shared equally among them, so that it goes on about as the logarithm of time.
+        Time constants T_k [s]. The creep is shared equally among them, so that it grows about as the logarithm of
+        time.
 
     Raises
     ------
     UsageError
-        For values that are not finite or have the wrong sign, and a hysteresis too large for the stroke.
+        When values are not finite or have the wrong sign, or when the hysteresis is too large for the stroke.
     """
 
     pd_gain: float
@@ -92,43 +93,43 @@ class PiezoStack:
 
     @property
     def thresholds(self) -> FloatArray:
-        """Voltage by which each play lags, shape (N_PLAYS,) [V]."""
+        """Threshold of each play, the voltage by which it lags, shape (N_PLAYS,) [V]."""
         return np.asarray((np.arange(N_PLAYS) + 0.5) * (self.voltage_limit / N_PLAYS), np.float64)
 
     @property
     def play_weight(self) -> float:
-        """Expansion per volt of each play [m/V], so that the branches differ by `hysteresis` in the middle."""
+        """Expansion per volt of each play [m/V], chosen so that the branches differ by `hysteresis` in the middle."""
         rho = self.thresholds
         return self.hysteresis / float(np.minimum(rho, self.voltage_limit - rho).sum())
 
     @property
     def spring(self) -> float:
-        """Expansion per volt without lag [m/V], so that the whole range gives the stroke."""
+        """Expansion per volt without lag [m/V], chosen so that the whole voltage range gives the stroke."""
         return self.stroke / self.voltage_limit - self.play_weight * float(
             (1.0 - self.thresholds / self.voltage_limit).sum()
         )
 
     def expansion(self, voltage: float, plays: FloatArray) -> float:
-        """Return H at plays that are already where the voltage has taken them [m].
+        """Return the fast expansion H for given states of the plays [m].
 
         Parameters
         ----------
         voltage : float
-            [V].
+            Voltage of the stack [V].
         plays : (n_plays,) array
-            States of the plays [V].
+            States of the plays at this voltage [V].
         """
         return self.spring * voltage + self.play_weight * float(np.sum(plays))
 
     def rest(self, reference: float, voltage: float | None = None) -> StackRest:
-        """Find where the stack rests after a rise from zero volts and all its creep.
+        """Return the state of rest of the stack after a rise from zero volts and after all creep.
 
         Parameters
         ----------
         reference : float
             Commanded position [m].
         voltage : float, optional
-            Applied voltage [V]; then the controller is off and the reference does not matter.
+            Applied voltage [V]. When it is given, the controller is off and `reference` is ignored.
         """
         dc = self.pd_gain * self.pd_scale * self.pd_zero / self.pd_pole
 
@@ -151,7 +152,7 @@ class PiezoStack:
 
 @dataclass(frozen=True, eq=False)
 class StackRest:
-    """A stack at rest: voltage [V], position [m], plays (N_PLAYS,) [V] and fast expansion H [m]."""
+    """State of rest of a stack: voltage [V], position [m], plays (N_PLAYS,) [V] and fast expansion H [m]."""
 
     voltage: float
     position: float
@@ -162,14 +163,14 @@ class StackRest:
 # Table A.5 per stack: P, z; p_p is 101 rad/s for all.
 _TABLE_A5 = ((0.926, 1996.0), (0.927, 1983.0), (0.220, 8349.0), (0.640, 2945.0))
 _PD_POLE = 101.0
-# With the zero on the slow pole the loop has two poles, p_p and omega_f, and Table 2 (p_1, p_2, kappa of the axis
-# that the stack works for) asks for omega_f = p_1 + p_2 - p_p and the loop gain p_1 p_2/omega_f - p_p.
+# The zero cancels the slow pole, so the loop has two poles, p_p and omega_f. Table 2 gives p_1, p_2 and kappa of the
+# axis that the stack moves. They require omega_f = p_1 + p_2 - p_p and the loop gain p_1 p_2/omega_f - p_p.
 _TABLE_2 = {"x": (3078.0, 8143.0, 1.863), "y": (2452.0, 6494.0, 1.865)}
 _AXIS = ("y", "x", "y", "x")
 
 
 def _published_stack(number: int) -> PiezoStack:
-    """Stack 1 to 4 such that the closed pair is that of Table 2 for references of about 1 V."""
+    """Return the stack of a number 1 to 4, such that the closed pair has Table 2 for references of about 1 V."""
     gain, zero = _TABLE_A5[number - 1]
     p1, p2, kappa = _TABLE_2[_AXIS[number - 1]]
     fast = p1 + p2 - _PD_POLE
@@ -187,8 +188,9 @@ def _published_stack(number: int) -> PiezoStack:
 
 
 _LOOP_SLOPE, _FAST = 0.72, 1.26
-"""Corrections for the plays, found by fits to PRBS of 4.5 um: the slope of such a loop over that of the whole range,
-and how much faster than in a linear loop the fast pole must be, as the slope is smaller right after each turn."""
+"""Corrections for the hysteresis, found by fits to PRBS of 4.5 um. The first is the slope of such a loop over the slope
+of the whole range. The second is the factor on the fast pole of a linear loop. The slope is smaller after each
+reversal, so the pole must be faster."""
 
 
 def _published_stacks() -> tuple[PiezoStack, ...]:
@@ -197,16 +199,16 @@ def _published_stacks() -> tuple[PiezoStack, ...]:
 
 @dataclass(frozen=True)
 class PiezoStacks:
-    """The four stacks, controlled in pairs by the differential principle (Eqs. 1 and 2).
+    """Four piezo stacks, controlled in pairs by the differential principle (Eqs. 1 and 2).
 
     ``r_p = r_0 + [r_y, r_x, -r_y, -r_x]`` and ``u = [y_2 - y_4, y_1 - y_3]``.
 
     Parameters
     ----------
     stacks : tuple of 4 PiezoStack
-        Stacks 1 to 4. By default those of Table A.5, scaled so that the closed pairs come close to Table 2.
+        Stacks 1 to 4. The default is Table A.5, scaled so that the closed pairs are close to Table 2.
     offset : float
-        r_0 [m], the middle of the stroke by default.
+        r_0 [m]; by default the middle of the stroke.
 
     Raises
     ------
@@ -228,27 +230,28 @@ class PiezoStacks:
 
     @property
     def travel(self) -> float:
-        """Largest ``|r|`` that no stack's end cuts short [m]."""
+        """Largest ``|r|`` at which no stack reaches an end of its stroke [m]."""
         return min(self.offset, min(stack.stroke for stack in self.stacks) - self.offset)
 
     @classmethod
     def unequal(cls, spread: float, seed: int = 0, stacks: Sequence[PiezoStack] | None = None) -> PiezoStacks:
-        """Draw stacks that differ, as ceramics do.
+        """Return stacks with random differences in their poles and hysteresis.
 
         Parameters
         ----------
         spread : float
-            Standard deviation of each stack's slow pole, fast pole and hysteresis, relative; draws beyond
-            three of them are cut. The controllers keep their numbers, so zero and slow pole no longer cancel.
+            Relative standard deviation of the slow pole, the fast pole and the hysteresis of each stack. Deviations
+            are limited to three standard deviations. The controllers keep their parameters, so that zero and slow
+            pole no longer cancel.
         seed : int
-            Same seed, same stacks.
+            The same seed gives the same stacks.
         stacks : sequence of 4 PiezoStack, optional
-            Start from these in place of the published ones.
+            The stacks to vary; by default the published ones.
 
         Raises
         ------
         UsageError
-            For a spread outside [0, 0.3).
+            When `spread` lies outside [0, 0.3).
         """
         if not 0 <= spread < 0.3:
             raise UsageError(f"piezo stacks: spread = {spread}; give a number from 0 to below 0.3")
@@ -268,5 +271,5 @@ class PiezoStacks:
 
 
 def pair_difference(positions: FloatArray) -> FloatArray:
-    """Give u from the four stack positions (Eq. 2), shape (..., 4) to (..., 2)."""
+    """Return u from the positions of the four stacks (Eq. 2), shape (..., 4) to (..., 2)."""
     return np.stack([positions[..., 1] - positions[..., 3], positions[..., 0] - positions[..., 2]], axis=-1)

@@ -16,33 +16,34 @@ _TRIES = 200
 
 @dataclass(frozen=True)
 class Scatter:
-    r"""How much rotor and bearing differ between recordings at one operating point.
+    r"""Random differences of rotor and bearing between recordings at one operating point.
 
-    The paper gives the scatter of its estimates as delays, natural frequencies, damping factors and static
-    gains, so these are drawn, independent and normal, and the fourteen key parameters follow: with the
-    eigenvectors of the rotor kept and its eigenvalues moved, :math:`[K\ D] = \Psi \Lambda^2 [\Psi; \Psi\Lambda]^{-1}`,
-    and :math:`B = -K G_{dc}`.
+    The paper gives the scatter of its estimates for delays, natural frequencies, damping factors and static gains.
+    These quantities are drawn from independent normal distributions. The fourteen key parameters follow from them: the
+    eigenvectors of the rotor are kept and its eigenvalues are moved,
+    :math:`[K\ D] = \Psi \Lambda^2 [\Psi; \Psi\Lambda]^{-1}`, and :math:`B = -K G_{dc}`.
 
-    A draw that leaves a mode with less than `minimum_damping` (or half of what it had, if that is less) or a
-    delay below `minimum_delay` (likewise) is thrown away and drawn again, so no draw is unstable; at points with
-    little damping the mean then lies a little above the truth.
+    A draw is rejected and repeated when a mode has less damping than `minimum_damping` (or than half of its true
+    damping, if that is less), or when a delay is below `minimum_delay` (same rule). So no draw is unstable. At points
+    with little damping this puts the mean slightly above the truth.
 
     Parameters
     ----------
     share : float
-        Factor on all standard deviations. The paper's figures are those of estimates around a polynomial and
-        hold lack of fit, so half of them is the default.
+        Factor on all standard deviations. The figures of the paper are deviations of estimates from a polynomial and
+        contain its lack of fit, so the default is one half.
     delay : (2,) tuple
-        Standard deviation of tau_x, tau_y [s]; 0.088 and 0.041 ms, Sec. 4.
+        Standard deviations of tau_x, tau_y [s]; 0.088 and 0.041 ms, Sec. 4.
     frequency_hz : (2,) tuple
-        Of omega_1, omega_2 [Hz]; 1.13 and 0.58, Sec. 4.
+        Standard deviations of omega_1, omega_2 [Hz]; 1.13 and 0.58, Sec. 4.
     damping : (2,) tuple
-        Of zeta_1, zeta_2; 0.0104 and 0.0063, Sec. 4.
+        Standard deviations of zeta_1, zeta_2; 0.0104 and 0.0063, Sec. 4.
     static_gain : (4,) tuple
-        Of g_xx, g_xy, g_yx, g_yy [m/m]; Sec. 4.
+        Standard deviations of g_xx, g_xy, g_yx, g_yy [m/m]; Sec. 4.
     minimum_damping : float
+        Smallest damping factor of a draw.
     minimum_delay : float
-        [s].
+        Smallest delay of a draw [s].
     """
 
     share: float = 0.5
@@ -66,43 +67,44 @@ class Scatter:
 
 
 def scatter_random(seed: int, name: str, conditions: Mapping[str, float]) -> np.random.Generator:
-    """Source of a recording's draw: by seed, name and operating point.
+    """Return the random generator of a recording, which depends on seed, name and operating point.
 
     Parameters
     ----------
     seed : int
+        Seed of the recording.
     name : str
-        Of the recording.
+        Name of the recording.
     conditions : dict of str to float
-        Its operating point.
+        Operating point of the recording.
     """
     point = ",".join(f"{key}={float(conditions[key])!r}" for key in sorted(conditions))
     return np.random.default_rng(np.random.SeedSequence(seed, spawn_key=tuple(f"scatter {name} {point}".encode())))
 
 
 def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Generator) -> tuple[RotorBearingTruth, int]:
-    """Draw rotor and bearing of one recording.
+    """Return the random rotor and bearing of one recording.
 
     Parameters
     ----------
     truth : RotorBearingTruth
         The machine without scatter.
     scatter : Scatter
-        What is drawn, and how far.
+        Standard deviations and limits.
     random : numpy.random.Generator
-        Source of the draw; see `scatter_random`.
+        Source of random numbers; see `scatter_random`.
 
     Returns
     -------
     RotorBearingTruth
-        Stable.
+        Stable rotor and bearing.
     int
-        How many draws were thrown away.
+        Number of rejected draws.
 
     Raises
     ------
     UsageError
-        When a mode does not oscillate, or no acceptable draw comes up.
+        When a mode does not oscillate, or when all draws are rejected.
     """
     frequency, damping, shapes = _modes(truth)
     gain = -np.linalg.solve(truth.stiffness, truth.input_gain)
@@ -128,7 +130,7 @@ def scattered(truth: RotorBearingTruth, scatter: Scatter, random: np.random.Gene
 
 
 def _modes(truth: RotorBearingTruth) -> tuple[FloatArray, FloatArray, np.ndarray]:
-    """Frequencies [Hz], damping factors and shapes (2, 4) of the two modes, lower first."""
+    """Return natural frequencies [Hz], damping factors and mode shapes (2, 4) of both modes, lower frequency first."""
     values, vectors = np.linalg.eig(np.block([[np.zeros((2, 2)), np.eye(2)], [truth.stiffness, truth.damping]]))
     upper = np.flatnonzero(values.imag > 0)
     if len(upper) != 2:

@@ -1,4 +1,4 @@
-"""What the rig's sensors make of the true motion: run-out, offsets, noise and encoder counts."""
+"""Sensors of the rig: run-out, offsets, noise and encoder counts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbid.errors import UsageError
 
 TURN = 2 * np.pi
 
-# Both sensors look at one disc surface a quarter turn apart, so y sees the run-out of x later.
+# Both sensors measure the same surface of the disc, a quarter turn apart. So y has the run-out of x, later.
 _AMPLITUDE = np.array([3.0e-6, 1.5e-6, 0.8e-6, 0.4e-6, 0.2e-6])
 _PHASE = np.array([0.4, 2.1, -1.3, 0.9, -2.6])
 _ORDER = np.arange(1, 6)
@@ -29,34 +29,34 @@ def _default_phase() -> FloatArray:
 class SensorChain:
     """Sensors of the rig: eddy-current probes (p), piezo strain gauges (u) and a shaft encoder (phi).
 
-    Run-out is what the probes see of a disc that turns without moving: its roundness and its electrical
-    spots. Channel j sees the sum over the orders n = 1, 2, ... of a_jn cos(n phi + theta_jn).
+    Run-out is the signal of the probes when the disc turns without moving. It comes from the roundness of the disc and
+    from electrical inhomogeneity. Channel j shows the sum over the orders n = 1, 2, ... of a_jn cos(n phi + theta_jn).
 
     Parameters
     ----------
     noise_p : float or (2,) tuple
-        Standard deviation of the white noise of each disc position [m]; one for both axes, or x and y.
+        Standard deviation of the white noise of the disc position [m]; one value for both axes, or x and y.
     noise_u : float or (2,) tuple
-        That of each piezo position difference [m].
+        Standard deviation of the white noise of the piezo position difference [m].
     runout_amplitude : (2, n_orders) array
-        a [m], axes x and y down, orders 1, 2, ... across. A few micrometres by default.
+        a [m]; rows are the axes x and y, columns the orders 1, 2, .... A few micrometres by default.
     runout_phase : (2, n_orders) array
         theta [rad].
     offset_p : (2,) tuple
-        What the probes show of a centred disc [m].
+        Reading of the probes for a centred disc [m].
     offset_u : (2,) tuple
-        What the gauges show of equal piezos [m].
+        Reading of the gauges for equal piezo positions [m].
     encoder_counts : int or None
         Counts per turn; the angle is rounded down to a count. None is an ideal encoder.
     resolution_p, resolution_u : float
-        Steps of the converters behind probes and gauges [m]; 0 for none.
+        Steps of the analogue-to-digital converters of probes and gauges [m]; 0 means no rounding.
     noise_f : float
         Standard deviation of the white noise of the measured impact force [N].
 
     Raises
     ------
     UsageError
-        For negative noise, shapes that do not fit, fewer than 2 counts.
+        When noise is negative, shapes do not fit, or there are fewer than 2 counts.
     """
 
     noise_p: float | tuple[float, float] = 30e-9
@@ -99,12 +99,12 @@ class SensorChain:
 
 
 def quantised(values: FloatArray, resolution: float) -> FloatArray:
-    """Round to the steps of a converter; 0 leaves the values as they are."""
+    """Return values rounded to the steps of a converter; a resolution of 0 leaves them as they are."""
     return np.rint(values / resolution) * resolution if resolution > 0 else values
 
 
 def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
-    """Run-out at shaft angles.
+    """Return the run-out at given shaft angles.
 
     Parameters
     ----------
@@ -116,7 +116,7 @@ def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
     Returns
     -------
     (n, 2) array
-        What x and y show too much [m].
+        Run-out that is added to x and y [m].
     """
     orders = np.arange(1, sensors.runout_amplitude.shape[1] + 1)
     turned = np.exp(1j * np.outer(angle, orders))
@@ -125,7 +125,7 @@ def runout(sensors: SensorChain, angle: FloatArray) -> FloatArray:
 
 
 def encoder_angle(sensors: SensorChain, angle: FloatArray) -> FloatArray:
-    """Angle that the encoder shows, within [0, 2 pi) [rad], shape of `angle`."""
+    """Return the angle that the encoder shows, within [0, 2 pi) [rad], shape of `angle`."""
     turns = np.mod(angle / TURN, 1.0)
     if sensors.encoder_counts is None:
         return np.where(turns < 1.0, turns, 0.0) * TURN  # mod rounds tiny negative angles up to 1

@@ -1,1 +1,1 @@
-"""Motion of the rig's machine, sample by sample or in closed form."""
+"""Motion of the machine, by time stepping or in closed form."""

@@ -1,4 +1,4 @@
-"""Forces on the rotor beside the film's and the piezos': unbalance, impacts, whirl and noise, per moving mass."""
+"""Additional forces on the rotor per moving mass: unbalance, impacts, whirl and noise."""
 
 from __future__ import annotations
 
@@ -15,22 +15,27 @@ from gbid.rig.stepping.response import unbalance_orbit
 
 @dataclass(frozen=True, eq=False)
 class Forces:
-    """Forces per moving mass as a function of time; what is random in them lies on the samples.
+    """Additional forces per moving mass as a function of time.
 
-    A random sequence is a straight line between samples, so that it does not depend on the step.
+    Random sequences are drawn at the samples and interpolated linearly in between, so that they do not depend on the
+    time step.
 
     Attributes
     ----------
     machine : Machine
+        The machine.
     turning : Turning
+        Rotation of the shaft.
     sample_time : float
+        Time between samples [s].
     n_settle : int
-        Samples before the logger starts, which is time zero.
+        Number of samples before the logger starts at time zero.
     noise : (n + 1, 2) array or None
         Process noise at the samples [m/s^2].
     whirl : (n + 1,) complex array or None
         z of `NonSynchronous` at the samples.
     hammer : Hammer or None
+        Impacts.
     """
 
     machine: Machine
@@ -42,12 +47,12 @@ class Forces:
     hammer: Hammer | None = None
 
     def between(self, first: int, last: int, oversampling: int) -> FloatArray:
-        """Give the forces from one sample to another, at the steps and half-way between.
+        """Return the forces from one sample to another, at the time steps and half-way between.
 
         Returns
         -------
         (2 (last - first) oversampling + 1, 2) array
-            [m/s^2].
+            Forces per moving mass along x and y [m/s^2].
         """
         count = 2 * (last - first) * oversampling
         at = first + np.arange(count + 1) / (2 * oversampling)  # in samples
@@ -67,7 +72,7 @@ class Forces:
         return np.ascontiguousarray(force)
 
     def orbit_at_start(self) -> tuple[FloatArray, FloatArray]:
-        """Position [m] and velocity [m/s] of the unbalance orbit when the simulation begins."""
+        """Return position [m] and velocity [m/s] of the unbalance orbit at the start of the simulation."""
         time = np.array([-self.n_settle * self.sample_time])
         angle, speed = self.turning.angle(time), float(self.turning.speed_at(time)[0])
         rotor, unbalance = self.machine.rotor_bearing, self.machine.unbalance
@@ -75,7 +80,7 @@ class Forces:
         return turned[0], speed * turned[1]
 
     def _unbalance(self, time: FloatArray) -> FloatArray:
-        """Force of an eccentric mass on a shaft that turns at any speed."""
+        """Return the force of an eccentric mass for any rotation of the shaft."""
         unbalance = self.machine.unbalance
         angle = self.turning.angle(time) + unbalance.phase
         outward = unbalance.eccentricity * self.turning.speed_at(time) ** 2
@@ -85,7 +90,7 @@ class Forces:
 
 
 def draw_noise(machine: Machine, n: int, sample_time: float, random: np.random.Generator) -> FloatArray | None:
-    """Draw the process noise at n + 1 samples [m/s^2]; None without any."""
+    """Return random process noise at n + 1 samples [m/s^2], or None when the machine has none."""
     if machine.process_noise is None or machine.process_noise.density == 0:
         return None
     deviation = machine.process_noise.density / np.sqrt(2 * sample_time)
@@ -93,13 +98,13 @@ def draw_noise(machine: Machine, n: int, sample_time: float, random: np.random.G
 
 
 def draw_whirl(machine: Machine, n: int, sample_time: float, random: np.random.Generator) -> np.ndarray | None:
-    """Draw z of the non-synchronous motion at n + 1 samples, stationary; None without any."""
+    """Return random values z of the non-synchronous whirl at n + 1 samples, or None when the machine has none."""
     rule = machine.non_synchronous
     if rule is None or rule.size == 0:
         return None
     pole = np.exp(-2 * np.pi * rule.bandwidth_hz * sample_time)
     white = random.standard_normal((n + 1, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)
     white[1:] *= np.sqrt(1 - pole**2)
-    from scipy.signal import lfilter  # slow to import, and seldom needed
+    from scipy.signal import lfilter  # imported here, because the import is slow and seldom needed
 
     return np.asarray(lfilter([1.0], [1.0, -pole], white))

@@ -1,4 +1,4 @@
-"""The stepping simulation in Python: what `step_source` says in C, for tests and machines without a compiler."""
+"""Time stepping in Python, equal to the C source in `step_source`, for tests and machines without a compiler."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from gbid.rig.stepping.step_arrays import (
 
 
 def run_in_python(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
-    """Step through a chunk of samples; the state moves on.
+    """Return the motion over a chunk of samples; `state` is changed in place to the end of the chunk.
 
     Returns
     -------
     (n_samples, ROW_WIDTH) array
-        Columns as `gbid.rig.stepping.step_arrays.ROW` names them.
+        Columns as in `gbid.rig.stepping.step_arrays.ROW`.
     """
     n, over = len(chunk.excitation), arrays.oversampling
     rotor, stacks, controller = arrays.rotor, arrays.stacks, arrays.controller
@@ -73,7 +73,7 @@ def run_in_python(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatAr
 
 
 def _looked_up(history: FloatArray, at: FloatArray) -> FloatArray:
-    """History at two places between its rows, one per axis."""
+    """Interpolate the history linearly at two places between its rows, one per axis."""
     i = np.floor(at).astype(int)
     w = at - i
     axis = np.arange(2)
@@ -81,7 +81,7 @@ def _looked_up(history: FloatArray, at: FloatArray) -> FloatArray:
 
 
 def _step_stacks(p: StackArrays, state: StepState, told: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
-    """One step of the four stacks; gives the voltage at its beginning and which stacks were at an end."""
+    """Advance the four stacks by one step; return the voltages at its start and which stacks were saturated."""
     crept = state.creep.sum(axis=0)
     volts = np.zeros(4)
 
@@ -108,7 +108,7 @@ def _step_stacks(p: StackArrays, state: StepState, told: FloatArray, h: float) -
 
 
 def _step_rotor(R: FloatArray, wall: bool, x: FloatArray, delayed: list[FloatArray], forces: FloatArray) -> None:
-    """One step of the rotor, in place."""
+    """Advance the rotor by one step, in place."""
     K, D, B = (R[i : i + 4].reshape(2, 2) for i in (0, 4, 8))
     cubic, clearance, stiffness, damping, omega2, two_zeta_omega, share = R[12:19]
 
@@ -130,7 +130,7 @@ def _step_rotor(R: FloatArray, wall: bool, x: FloatArray, delayed: list[FloatArr
 
 
 def _runge_kutta(rates: Callable[[float, FloatArray], FloatArray], x: FloatArray, h: float) -> FloatArray:
-    """Change over one step, classical fourth order; `rates` gets the part of the step that has gone."""
+    """Return the change over one classical Runge-Kutta step; `rates` gets the elapsed part of the step and the state."""
     d1 = rates(0.0, x)
     d2 = rates(0.5, x + h / 2 * d1)
     d3 = rates(0.5, x + h / 2 * d2)

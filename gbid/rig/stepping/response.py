@@ -1,15 +1,15 @@
-r"""Exact motion of actuators and rotor between and at the samples.
+r"""Exact motion of actuators and rotor at and between the samples.
 
-The references are held constant over each sample (a DAC puts them out), and everything behind them is linear.
-The delays commute with the rotor, so each axis j is one chain of six states
+The references are held constant over each sample, as a digital-to-analogue converter does. Everything behind them
+is linear. The delays commute with the rotor, so each axis j is one chain of six states
 
 .. math::
 
     \dot a = p_1 (\kappa r_j - a), \quad \dot u = p_2 (a - u), \quad
     \ddot q = K q + D \dot q + B_{\cdot j} u, \qquad p(t) = q_x(t - \tau_x) + q_y(t - \tau_y).
 
-With r held, a matrix exponential carries the states from sample to sample and to any instant between, so u
-and p are exact to rounding at every time and for every real delay: no grid enters, no Pade.
+With r constant, a matrix exponential gives the states at the next sample and at any instant before it. So u and p
+are exact up to rounding at every time and for every real delay. Neither a time grid nor a Pade approximation is used.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _U, _P = 1, slice(2, 4)  # states of one chain: a, u, q_x, q_y, their velocities
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """True motion on a fine grid, no sensors in between.
+    """True motion on a fine time grid, without sensors.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ def driven_motion(
     sample_time: float,
     oversampling: int = MIN_OVERSAMPLING,
 ) -> Motion:
-    """Answer of actuators and rotor to held references, starting at rest.
+    """Return the response of actuators and rotor to held references, from rest.
 
     Parameters
     ----------
@@ -63,17 +63,16 @@ def driven_motion(
     actuator : ActuatorTruth
         Piezo pairs.
     reference : (n_samples, 2) array
-        r [m]; row k is held from k to k + 1 samples.
+        r [m]; row k is held from sample k to sample k + 1.
     sample_time : float
-        Sample time [s].
+        Time between samples [s].
     oversampling : int
-        Points of the answer per sample, at least 20. It chooses where the exact answer is looked at, not how
-        exact it is.
+        Output points per sample, at least 20. The accuracy does not depend on it.
 
     Returns
     -------
     Motion
-        At n_samples * oversampling instants; every `oversampling`-th is a sample.
+        Motion at n_samples * oversampling instants; every `oversampling`-th instant is a sample.
 
     Raises
     ------
@@ -82,7 +81,7 @@ def driven_motion(
     """
     if oversampling < MIN_OVERSAMPLING:
         raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
-    # Matrices of this size gain nothing from BLAS threads, which on a busy machine made it ten times slower.
+    # Threads do not speed up products of matrices of this size. On a busy machine they made it ten times slower.
     with one_blas_thread():
         u, p = _positions(rotor_bearing, actuator, reference, sample_time, oversampling)
     time = np.arange(len(u), dtype=float) * (sample_time / oversampling)
@@ -92,10 +91,10 @@ def driven_motion(
 def unbalance_orbit(
     rotor_bearing: RotorBearingTruth, unbalance: Unbalance, speed: float, angle: FloatArray
 ) -> FloatArray:
-    r"""Stationary answer of the rotor to its unbalance.
+    r"""Return the stationary response of the rotor to its unbalance.
 
-    The force per mass is :math:`e \Omega^2 [\cos(\phi + \theta), \sin(\phi + \theta)]`, its answer the
-    frequency response :math:`(-\Omega^2 I - i\Omega D - K)^{-1}`: exact once the start has died out.
+    The force per mass is :math:`e \Omega^2 [\cos(\phi + \theta), \sin(\phi + \theta)]`. The frequency response to it is
+    :math:`(-\Omega^2 I - i\Omega D - K)^{-1}`. The result is exact after the initial transient.
 
     Parameters
     ----------
@@ -125,7 +124,7 @@ def _positions(
     sample_time: float,
     oversampling: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Piezo and disc positions on the fine grid."""
+    """Return piezo and disc positions on the fine grid."""
     n_samples = len(reference)
     chains = [_chain(rotor_bearing, actuator, axis) for axis in range(2)]
     at_samples = _states_at_samples(chains, reference, sample_time)
@@ -136,7 +135,7 @@ def _positions(
         for point in range(oversampling):
             since = sample_time * point / oversampling
             u[:, point, axis] = states @ expm(chain * since)[_U]
-            # p shows the state of one delay ago: `late` samples back, and `ahead` seconds on from there.
+            # p is the state one delay earlier: go back by `late` samples, then forward by `ahead` seconds.
             late = int(np.ceil((delay - since) / sample_time - 1e-12))
             ahead = max(late * sample_time + since - delay, 0.0)
             if late < n_samples:
@@ -145,7 +144,7 @@ def _positions(
 
 
 def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int) -> FloatArray:
-    """System matrix of one axis with its held input as a seventh, constant state."""
+    """Return the system matrix of one axis, with the held input as a seventh, constant state."""
     slow, fast = actuator.slow_pole[axis], actuator.fast_pole[axis]
     matrix = np.zeros((7, 7))
     matrix[0, 0], matrix[0, 6] = -slow, slow * actuator.gain[axis]
@@ -158,7 +157,7 @@ def _chain(rotor_bearing: RotorBearingTruth, actuator: ActuatorTruth, axis: int)
 
 
 def _states_at_samples(chains: list[FloatArray], reference: FloatArray, sample_time: float) -> list[FloatArray]:
-    """States of both chains at the samples, from rest, each (n_samples, 7) with r in the last column."""
+    """Return the states of both chains at the samples, from rest, each (n_samples, 7) with r in the last column."""
     step = np.zeros((12, 12))
     drive = np.zeros((12, 2))
     for axis, chain in enumerate(chains):

@@ -1,4 +1,4 @@
-"""A machine as the plain arrays that the stepping simulation works on, and its state between chunks."""
+"""Constants and state of the time stepping as plain arrays."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbid.rig.machine.machine import ActuatorTruth, Machine
 from gbid.rig.machine.piezo import ALLOCATION, N_PLAYS, PiezoStack, PiezoStacks, StackRest, pair_difference
 
 STEP, DELAY = 21, slice(19, 21)
-"""Places of step size and delays (in steps) in `StepArrays.rotor`."""
+"""Indices of the step size and of the delays (in steps) in `StepArrays.rotor`."""
 
 
 class _Row(NamedTuple):
@@ -32,12 +32,12 @@ class _Row(NamedTuple):
 
 ROW = _Row()
 """Columns of the result: r, u, p, p as the sensor shows it, stack positions and voltages, share of the sample
-that each stack was at an end, largest radius within the sample, what each stack was told."""
+during which each stack was saturated, largest radius within the sample, command of each stack."""
 ROW_WIDTH = 25
 
 
 class StackArrays(NamedTuple):
-    """Four stacks side by side; (4,) arrays, `thresholds` (N_PLAYS, 4), `creep` and `relax` (n_creep, 4)."""
+    """Constants of the four stacks: (4,) arrays, `thresholds` (N_PLAYS, 4), `creep` and `relax` (n_creep, 4)."""
 
     gain: FloatArray
     lead: FloatArray
@@ -58,20 +58,20 @@ class StackArrays(NamedTuple):
 
 
 class Chunk(NamedTuple):
-    """What drives a chunk of n samples.
+    """Inputs of a chunk of n samples.
 
     Attributes
     ----------
     excitation : (n, 2) array
-        References before the controller [m].
+        References without the part of the controller [m].
     base : (n, 4) array
-        What the stacks are told beside them: r_0 [m], or volts for an open-loop stack.
+        Command of each stack without the references of the pairs: r_0 [m], or volts for a stack in open loop.
     forces : (2 n oversampling + 1, 2) array
-        Forces per moving mass at the steps and half-way between [m/s^2].
+        Forces per moving mass at the time steps and half-way between [m/s^2].
     sensor : (n, 2) array
-        What the probes add: run-out, offset, noise [m].
+        Run-out, offset and noise of the probes [m].
     taken : (n, 2) array
-        What the controller takes off [m].
+        Correction that the controller subtracts from the measured position [m].
     """
 
     excitation: FloatArray
@@ -93,12 +93,15 @@ class StepArrays:
     linear : (2, 6) array
         Exact step of a linear actuator: a' = m0 a + m1 r, u' = m2 a + m3 u + m4 r.
     stacks : StackArrays or None
+        Constants of the stacks; None for linear actuators.
     controller : SampledController or None
+        Controller of the loop; None in open loop.
     oversampling : int
+        Time steps per sample.
     wall : bool
-        Whether the disc touches at the clearance.
+        Whether the disc touches a wall at the clearance.
     resolution, travel : float
-        Of p [m], 0 for none; of r in a loop [m].
+        Resolution of p [m], 0 for none, and limit of r in a control loop [m].
     """
 
     rotor: FloatArray
@@ -113,20 +116,22 @@ class StepArrays:
 
 @dataclass(frozen=True, eq=False)
 class StepState:
-    """What a simulation carries from chunk to chunk; its arrays change in place.
+    """State of a simulation between chunks; its arrays are changed in place.
 
     Attributes
     ----------
     rotor : (8,) array
-        q, its velocity, flexible mode, its velocity.
+        q [m], its velocity [m/s], eta of the flexible mode [m], its velocity [m/s].
     linear : (2,) array
-        Slow state of each linear actuator.
+        Slow state of each linear actuator [m].
     stack : (3, 4) array
-        PD state, amplifier voltage, position of each stack.
+        PD state, amplifier voltage [V] and position [m] of each stack.
     plays, creep : (N_PLAYS, 4), (n_creep, 4) array
+        States of the plays [V] and of the creep [m].
     controller, command : (n,), (2,) array
+        State and last output [m] of the controller.
     history : (kept + 1, 2) array
-        u at the last steps, the present one last.
+        u at the last time steps [m], the present one in the last row.
     """
 
     rotor: FloatArray
@@ -147,17 +152,27 @@ def step_arrays(
     wall: bool,
     open_loop: int | None = None,
 ) -> StepArrays:
-    """Gather the constants of a simulation.
+    """Return the constants of a simulation.
 
     Parameters
     ----------
+    machine : Machine
+        The machine.
+    controller : SampledController or None
+        Controller of the loop.
+    sample_time : float
+        Time between samples [s].
+    oversampling : int
+        Time steps per sample.
+    wall : bool
+        Whether the disc touches a wall at the clearance.
     open_loop : int, optional
         Number of the stack whose controller is off.
 
     Raises
     ------
     UsageError
-        When the step is too long for the fastest pole.
+        When the time step is too long for the fastest pole.
     """
     h = sample_time / oversampling
     rb, mass = machine.rotor_bearing, machine.moving_mass
@@ -190,7 +205,7 @@ def step_arrays(
 
 
 def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepState:
-    """Return the state at rest under what the stacks are told at first, shape (4,)."""
+    """Return the state of rest under the first commands of the stacks `base`, shape (4,) [m or V]."""
     n_controller = 0 if arrays.controller is None else len(arrays.controller.A)
     stack, plays = np.zeros((3, 4)), np.zeros((N_PLAYS, 4))
     n_creep = 0 if arrays.stacks is None else len(arrays.stacks.creep)
@@ -211,8 +226,8 @@ def rest_state(arrays: StepArrays, machine: Machine, base: FloatArray) -> StepSt
     )
 
 
-def _rest(piezo: PiezoStack, told: float, is_open: bool) -> StackRest:
-    return piezo.rest(0.0, voltage=told) if is_open else piezo.rest(told)
+def _rest(piezo: PiezoStack, command: float, is_open: bool) -> StackRest:
+    return piezo.rest(0.0, voltage=command) if is_open else piezo.rest(command)
 
 
 def _stack_arrays(actuator: PiezoStacks, h: float, open_loop: int | None) -> StackArrays:

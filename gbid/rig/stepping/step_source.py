@@ -1,4 +1,4 @@
-"""C source of the stepping simulation; `gbid.rig.stepping.python_twin` says the same in Python."""
+"""C source of the time stepping; `gbid.rig.stepping.python_twin` is the same in Python."""
 
 from __future__ import annotations
 

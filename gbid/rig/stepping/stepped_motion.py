@@ -1,4 +1,4 @@
-"""Motion of a machine that is not linear, or in a loop, step by step: compiled where there is a C compiler."""
+"""Motion of a nonlinear machine or of a control loop by time stepping, compiled where there is a C compiler."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gbid.rig.stepping.step_source import SOURCE
 
 RigEngine = Literal["auto", "compiled", "python"]
 _CHUNK = 2000
-"""Samples stepped at once: forces on the fine grid stay in the cache's reach, memory small."""
+"""Samples per chunk: the forces on the fine grid then fit into the processor cache."""
 
 
 @dataclass(frozen=True, eq=False)
 class SteppedMotion:
-    """What the stepping simulation gives, a row a sample.
+    """Result of the time stepping, one row per sample.
 
     Attributes
     ----------
@@ -38,13 +38,14 @@ class SteppedMotion:
     seen : (n, 2) array
         Disc position as the probes show it [m].
     stacks, volts, told : (n, 4) array
-        Stack positions [m], voltages [V], references (or volts, open loop); zero for linear actuators.
+        Positions [m], voltages [V] and commands of the stacks (reference [m], or volts in open loop); zero for linear
+        actuators.
     ended : (n, 4) array
-        Share of each sample that a stack's voltage or expansion was at an end.
+        Share of each sample during which the voltage or the expansion of a stack was at its limit.
     radius : (n,) array
         Largest distance of the disc from the centre within each sample [m].
     how : str
-        Which engine, and why not the compiled one.
+        Engine that was used, and the reason when it is not the compiled one.
     """
 
     r: FloatArray
@@ -74,34 +75,38 @@ def stepped_motion(
     wall: bool = True,
     engine: RigEngine = "auto",
 ) -> SteppedMotion:
-    """Simulate by classical Runge-Kutta steps of sample_time/oversampling.
+    """Return the motion computed by classical Runge-Kutta steps of sample_time/oversampling.
 
-    References are held over each sample; the delayed u is a straight line between steps; unbalance and other
-    forces are taken at the steps and half-way between. Stacks start at rest under r_0, the rotor on its orbit.
+    References are held over each sample. The delayed u is interpolated linearly between steps. Unbalance and other
+    forces are evaluated at the steps and half-way between. The stacks start at rest under r_0, the rotor starts on its
+    unbalance orbit.
 
     Parameters
     ----------
     machine : Machine
+        The machine.
     excitation : (n, 2) array
-        r [m] before the controller's part is added.
+        r [m] without the part of the controller.
     forces : Forces
-        What else acts on the rotor.
+        Additional forces on the rotor.
     sensor : (n, 2) array
-        What the probes add to the disc position [m].
+        Run-out, offset and noise that the probes add to the disc position [m].
     sample_time : float
-        [s].
+        Time between samples [s].
     controller : SampledController, optional
+        Controller of the loop; open loop when not given.
     taken : (n, 2) array, optional
-        What the controller takes off the measured position [m].
+        Correction that the controller subtracts from the measured position [m].
     stack_run : StackStaircase, optional
-        Takes one stack out of the pairs.
+        Staircase of one stack, which then does not follow the references of its pair.
     n_settle : int
-        Samples before the logger starts.
+        Number of samples before the logger starts.
     oversampling : int
-        Steps a sample, at least 20.
+        Time steps per sample, at least 20.
     wall : bool
-        Whether the disc is held by a contact at the clearance.
+        Whether a contact holds the disc at the clearance.
     engine : {"auto", "compiled", "python"}
+        Program that computes the time steps. ``"auto"`` is the compiled one where there is a compiler.
 
     Returns
     -------
@@ -110,8 +115,8 @@ def stepped_motion(
     Raises
     ------
     UsageError
-        When the compiled engine is insisted on and there is none, a step is too long, or a stack is commanded
-        on a machine without stacks.
+        When ``engine = "compiled"`` and there is no compiler, when the time step is too long, or when a stack is
+        commanded on a machine without stacks.
     """
     if oversampling < MIN_OVERSAMPLING:
         raise UsageError(f"oversampling = {oversampling}; the rig works on at least {MIN_OVERSAMPLING} points")
@@ -145,7 +150,7 @@ def _base(
     sample_time: float,
     n_settle: int,
 ) -> FloatArray:
-    """Give what each stack is told beside the pairs' references."""
+    """Return the command of each stack without the references of the pairs."""
     actuator = machine.actuator
     if not isinstance(actuator, PiezoStacks):
         if stack_run is not None:
@@ -177,7 +182,7 @@ def _choose(engine: RigEngine) -> tuple[_Run, str]:
 
 
 def _run_compiled(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatArray:
-    """Step through a chunk in C; the state moves on. See `run_in_python`."""
+    """Return the motion over a chunk of samples, computed in C; see `run_in_python`."""
     n, kept = len(chunk.excitation), len(state.history) - 1
     stacks, controller = arrays.stacks, arrays.controller
     n_creep = len(state.creep)
