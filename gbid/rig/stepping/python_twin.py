@@ -130,7 +130,7 @@ def _step_rotor(R: FloatArray, wall: bool, x: FloatArray, delayed: list[FloatArr
 
 
 def _runge_kutta(rates: Callable[[float, FloatArray], FloatArray], x: FloatArray, h: float) -> FloatArray:
-    """Return the change over one classical Runge-Kutta step; `rates` gets the elapsed part of the step and the state."""
+    """Return the change over one classical Runge-Kutta step; `rates` gets the elapsed part and the state."""
     d1 = rates(0.0, x)
     d2 = rates(0.5, x + h / 2 * d1)
     d3 = rates(0.5, x + h / 2 * d2)
