@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 from experiment_files import gbid
+from own_files import BY_TABLE, SIGNALS, columns_of, write_file
 from rig_point import machine
-from test_own_folder import BY_TABLE, SIGNALS, columns_of, write_file
 
 from gbid import load_table
 from gbid.rig import Faults, Prbs, Stationary, record

@@ -6,8 +6,8 @@ import json
 import numpy as np
 import pytest
 from experiment_files import gbid
+from own_files import BY_TABLE, COLUMNS, SIGNALS, columns_of, write_file
 from rig_point import machine
-from scipy.io import savemat
 
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
@@ -15,12 +15,6 @@ from gbid.experiment.stages.importing.file_names import name_pattern
 from gbid.rig import Prbs, Stationary, record
 from gbid.structure import KEY_PARAMETERS
 
-SIGNALS = """\
-      r: {columns: [r_x, r_y], unit: um}
-      u: {columns: [u_x, u_y], unit: um}
-      p: {columns: [p_x, p_y], unit: um}
-      phi: {columns: phi, unit: rad}
-"""
 BY_NAME = """\
 format: 1
 name: own
@@ -28,17 +22,6 @@ import:
   data_folder: data
   folder:
     pattern: "p{{pressure_bar:g}}_n{{speed_rpm:d}}_{{kind}}{{nr:d}}.{ending}"
-    sample_time_s: 2.0e-4
-    signals:
-{signals}
-"""
-BY_TABLE = """\
-format: 1
-name: own
-import:
-  data_folder: data
-  table:
-    file: runs.csv
     sample_time_s: 2.0e-4
     signals:
 {signals}
@@ -54,22 +37,6 @@ crossval:
 nominal: {fit: piezos}
 """
 POINTS = ((5.0, 6000.0), (6.0, 0.0))
-COLUMNS = [f"{signal}_{axis}" for signal in "rup" for axis in "xy"]
-
-
-def columns_of(rec):
-    values = {name: 1e6 * rec.signal(name[0])[:, "xy".index(name[2])] for name in COLUMNS}
-    return {**values, "phi": rec.signal("phi")[:, 0]}
-
-
-def write_file(path, columns):
-    if path.suffix == ".csv":
-        rows = np.column_stack(list(columns.values()))
-        np.savetxt(path, rows, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
-    elif path.suffix == ".npz":
-        np.savez(path, **columns)
-    else:
-        savemat(path, columns)
 
 
 @pytest.fixture(scope="module")
