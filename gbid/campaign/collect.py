@@ -17,7 +17,8 @@ from gbid.experiment.stages.importing.stage import import_tasks
 from gbid.experiment.stages.prefilter.stage import prefilter_tasks
 from gbid.experiment.stages.rig.stage import rig_tasks
 from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
-from gbid.identify.table.table_store import write_csv
+from gbid.identify.table.table_store import csv_table
+from gbid.tables.csv import write_csv
 
 NAME = "table"
 NOT_MADE = "not made yet; run `gbid batch`"
@@ -99,4 +100,4 @@ def _write_h5(table: FitTable, part: Path) -> None:
 
 
 def _write_csv(table: FitTable, key: str, part: Path) -> None:
-    write_csv(table, part, key)
+    write_csv(csv_table(table), part, [f"content_key: {key}"])

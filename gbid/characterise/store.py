@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -165,15 +164,6 @@ def static_rows(result: StaticMap | PiezoCurve) -> list[dict[str, Any]]:
         }
         for k in range(len(result.command))
     ]
-
-
-def write_csv(path: Path, rows: Sequence[Mapping[str, Any]], comment: str) -> None:
-    """Write rows under a header line, after a line of comment."""
-    with path.open("w", encoding="utf-8", newline="") as handle:
-        handle.write(f"# {comment}\n")
-        writer = csv.DictWriter(handle, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
 
 
 def _columns(names: Sequence[str], unit: str, values: Sequence[float], errors: Sequence[float]) -> dict[str, float]:

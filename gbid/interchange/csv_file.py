@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,8 +17,8 @@ from gbid.lpv import LPVModel
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model_file import SI_UNITS
 from gbid.structure import KEY_PARAMETERS, LinearModel
-
-Row = Sequence[object]
+from gbid.tables.csv import write_csv
+from gbid.tables.table import Table, Value, plain_table
 
 
 def save_csv(
@@ -59,21 +58,21 @@ def save_csv(
                 f"{path}: an LPV model has a frequency response at one operating point only; "
                 "give what.at(pressure_bar, speed_rpm)"
             )
-        rows = _responses(what.model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
+        table = _responses(what.model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
     elif isinstance(what, LPVModel):
-        rows = _coefficients(what)
+        table = _coefficients(what)
     elif isinstance(what, FitResult):
-        rows = _parameters(what)
+        table = _parameters(what)
     else:
-        rows = _matrices(what)
-    with atomic_path(path, overwrite) as part, part.open("w", encoding="utf-8", newline="") as handle:
-        csv.writer(handle, lineterminator="\n").writerows(rows)
+        table = _matrices(what)
+    with atomic_path(path, overwrite) as part:
+        write_csv(table, part)
     return path
 
 
-def _matrices(model: LinearModel) -> Iterator[Row]:
+def _matrices(model: LinearModel) -> Table:
     x, u, y = model.state_names, model.input_names, model.output_names
-    yield ("matrix", "row", "column", "row_name", "column_name", "value")
+    rows: list[Sequence[Value]] = []
     for letter, values, down, across in (
         ("A", model.A, x, x),
         ("B", model.B, x, u),
@@ -83,33 +82,35 @@ def _matrices(model: LinearModel) -> Iterator[Row]:
         ("B_delayed", model.B_delayed, x, u),
     ):
         if values is not None:
-            for (i, j), value in np.ndenumerate(values):
-                yield (letter, i + 1, j + 1, down[i], across[j], repr(float(value)))
+            entries = np.ndenumerate(values)
+            rows += [(letter, i + 1, j + 1, down[i], across[j], float(value)) for (i, j), value in entries]
     for j, value in enumerate(() if model.delay is None else model.delay):
-        yield ("delay", 1, j + 1, "s", u[j], repr(float(value)))
+        rows.append(("delay", 1, j + 1, "s", u[j], float(value)))
     if model.dt is not None:
-        yield ("dt", 1, 1, "s", "", repr(float(model.dt)))
+        rows.append(("dt", 1, 1, "s", "", float(model.dt)))
+    return plain_table(("matrix", "row", "column", "row_name", "column_name", "value"), rows)
 
 
-def _parameters(fit: FitResult) -> Iterator[Row]:
-    yield ("parameter", "estimate", "std", "unit", "free")
-    for name, value in fit.parameters.items():
-        free = "yes" if name in fit.free else "no"
-        yield (name, repr(float(value)), repr(float(fit.std[name])), fit.units.get(name, ""), free)
+def _parameters(fit: FitResult) -> Table:
+    rows = [
+        (name, float(value), float(fit.std[name]), fit.units.get(name, ""), "yes" if name in fit.free else "no")
+        for name, value in fit.parameters.items()
+    ]
+    return plain_table(("parameter", "estimate", "std", "unit", "free"), rows)
 
 
-def _coefficients(model: LPVModel) -> Iterator[Row]:
-    yield ("parameter", "unit", *TERMS)
-    for key in KEY_PARAMETERS:
-        yield (key, SI_UNITS[key.split("_")[0]], *(repr(value) for value in model.coefficients[key]))
+def _coefficients(model: LPVModel) -> Table:
+    rows: list[Sequence[Value]] = [
+        (key, SI_UNITS[key.split("_")[0]], *model.coefficients[key]) for key in KEY_PARAMETERS
+    ]
+    return plain_table(("parameter", "unit", *TERMS), rows)
 
 
-def _responses(model: LinearModel, frequency_hz: FloatArray) -> Iterator[Row]:
+def _responses(model: LinearModel, frequency_hz: FloatArray) -> Table:
     response = model.frequency_response(frequency_hz)
     pairs = [(i, j) for i in range(response.shape[1]) for j in range(response.shape[2])]
     names = [f"{model.output_names[i]}/{model.input_names[j]}" for i, j in pairs]
-    yield ("frequency_hz", *(f"{what} {name}" for name in names for what in ("magnitude", "phase_deg")))
     phase = np.rad2deg(np.unwrap(np.angle(response), axis=0))
-    for k, frequency in enumerate(frequency_hz):
-        shown = (value for i, j in pairs for value in (abs(response[k, i, j]), phase[k, i, j]))
-        yield (repr(float(frequency)), *(repr(float(value)) for value in shown))
+    shown = [values for i, j in pairs for values in (abs(response[:, i, j]), phase[:, i, j])]
+    heads = ("frequency_hz", *(f"{what} {name}" for name in names for what in ("magnitude", "phase_deg")))
+    return plain_table(heads, np.column_stack([frequency_hz, *shown]).tolist())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 from gbid.tables.table import Table, Value, value_of
 
@@ -25,6 +26,11 @@ def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
     lines.append(_line(column.heading for column in table.columns))
     lines += [_line(_text(value_of(entry)) for entry in row) for row in table.rows]
     return "".join(f"{line}\n" for line in lines)
+
+
+def write_csv(table: Table, path: Path, comments: Sequence[str] = ()) -> None:
+    """Write the text of `csv_text` to a file."""
+    path.write_text(csv_text(table, comments), encoding="utf-8", newline="")
 
 
 def _line(cells: Iterable[str]) -> str:

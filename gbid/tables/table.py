@@ -148,7 +148,11 @@ def value_of(entry: Entry) -> Value:
     return entry.value if isinstance(entry, Cell) else entry
 
 
-def table_of_records(records: Sequence[Mapping[str, Value]], notes: Sequence[str] = ()) -> Table:
-    """Table of records with the same keys, which become the names of the columns."""
-    columns = [Column(name) for name in (records[0] if records else ())]
-    return Table("", columns, [list(record.values()) for record in records], notes)
+def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Sequence[str] = ()) -> Table:
+    """Table for a file: columns that are no more than their names."""
+    return Table("", [Column(name) for name in names], rows, notes)
+
+
+def table_of_records(records: Sequence[Mapping[str, Value]]) -> Table:
+    """Table for a file of records with the same keys, which become the names of the columns."""
+    return plain_table(list(records[0]) if records else (), [list(record.values()) for record in records])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 from gbid import hdf5
 from gbid.atomic import atomic_path
 from gbid.errors import DataError
+from gbid.tables.table import Table, Value, plain_table
 from gbid.validate.central import ACTUATOR, NominalActuator
 from gbid.validate.scores import PointSummary, ValidationSummary, WorstPair
 from gbid.yaml_file import read_yaml, write_yaml
@@ -110,21 +110,18 @@ def load_validation_summary(path: str | Path) -> ValidationSummary:
         )
 
 
-def write_summary_csv(summary: ValidationSummary, path: Path, comment: str = "") -> None:
-    """Write a row for each output: of all pairs first, then of each operating point."""
-    with path.open("w", encoding="utf-8", newline="") as handle:
-        handle.write("# fit percent of simulations over pairs of model and recording; infinity_norm: largest error\n")
-        handle.write(f"# {comment}\n" if comment else "")
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(
-            ["pressure_bar", "speed_rpm", "output", "pairs", "mean", "std", "infinity_norm", "unit"],
-        )
-        every = PointSummary(math.nan, math.nan, summary.n_pairs, summary.mean, summary.std, summary.infinity_norm_max)
-        for point in (every, *summary.points):
-            where = ["all", "all"] if point is every else [_number(point.pressure_bar), _number(point.speed_rpm)]
-            for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
-                numbers = [_number(column[j]) for column in (point.mean, point.std, point.infinity_norm)]
-                writer.writerow([*where, output, point.n_pairs, *numbers, unit])
+def summary_csv_table(summary: ValidationSummary) -> Table:
+    """Mean and standard deviation of the fit percent, a row for each output: of all pairs, then of each point."""
+    names = ("pressure_bar", "speed_rpm", "output", "pairs", "mean", "std", "infinity_norm", "unit")
+    rows: list[list[Value]] = []
+    every = PointSummary(math.nan, math.nan, summary.n_pairs, summary.mean, summary.std, summary.infinity_norm_max)
+    for point in (every, *summary.points):
+        where: list[Value] = ["all", "all"] if point is every else [_known(point.pressure_bar), _known(point.speed_rpm)]
+        for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
+            numbers = [_known(column[j]) for column in (point.mean, point.std, point.infinity_norm)]
+            rows.append([*where, output, point.n_pairs, *numbers, unit])
+    note = "fit percent of simulations over pairs of model and recording; infinity_norm: largest error"
+    return plain_table(names, rows, [note])
 
 
 def save_nominal_actuator(
@@ -193,8 +190,8 @@ def load_actuators(path: str | Path) -> dict[str, float]:
     return {name: float(found[name]) for name in ACTUATOR}
 
 
-def _number(value: float) -> str:
-    return "" if math.isnan(value) else repr(float(value))
+def _known(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
 
 
 def _write_texts(item: h5py.Group, **texts: Any) -> None:

@@ -12,6 +12,7 @@ from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
+from gbid.tables.csv import write_csv
 from gbid.validate import (
     ValidationScores,
     check_residuals,
@@ -21,7 +22,7 @@ from gbid.validate import (
     save_validation_summary,
     summarise,
 )
-from gbid.validate.store import write_summary_csv
+from gbid.validate.store import summary_csv_table
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +194,7 @@ def test_summary_comes_back_as_it_was(tmp_path):
         np.testing.assert_array_equal(one.mean, other.mean)
     with pytest.raises(UsageError, match="exists already"):
         save_validation_summary(found, tmp_path / "a.h5")
-    write_summary_csv(found, tmp_path / "a.csv")
+    write_csv(summary_csv_table(found), tmp_path / "a.csv")
     lines = (tmp_path / "a.csv").read_text().splitlines()
     assert lines[1] == "pressure_bar,speed_rpm,output,pairs,mean,std,infinity_norm,unit"
     assert lines[2].startswith(f"all,all,p_x,40,{found.mean[0]!r},".replace("np.float64(", "").replace(")", ""))

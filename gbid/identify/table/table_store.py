@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ import numpy.typing as npt
 from gbid import hdf5
 from gbid.errors import DataError
 from gbid.identify.table.fit_table import FitTable
+from gbid.tables.table import Table, plain_table
 
 KIND = "table"
 _TEXT = h5py.string_dtype()
@@ -106,29 +106,13 @@ def load_table(path: str | Path) -> FitTable:
     return FitTable(**found)
 
 
-def write_csv(table: FitTable, path: Path, key: str = "") -> None:
-    """Write the columns of a table to a CSV file; lines that begin with # tell the units.
-
-    What a fit does not have is an empty cell. Numbers are written so that they are read back bit for bit.
-    """
-    columns = table.columns()
-    with path.open("w", encoding="utf-8", newline="") as handle:
-        units = ", ".join(f"{name} [{unit}]" for name, (_, unit) in columns.items() if unit)
-        handle.write(f"# units, SI where none is given: {units}\n")
-        if key:
-            handle.write(f"# content_key: {key}\n")
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(columns)
-        for row in zip(*(values.tolist() for values, _ in columns.values()), strict=True):
-            writer.writerow([_cell(value) for value in row])
-
-
-def _cell(value: Any) -> Any:
-    if isinstance(value, bool):
-        return str(value).lower()
-    if isinstance(value, float):
-        return "" if np.isnan(value) else repr(value)
-    return value
+def csv_table(fits: FitTable) -> Table:
+    """Columns of a table of fits for a CSV file, a note tells their units. What a fit does not have is missing."""
+    columns = fits.columns()
+    units = ", ".join(f"{name} [{unit}]" for name, (_, unit) in columns.items() if unit)
+    values = [[None if value != value else value for value in array.tolist()] for array, _ in columns.values()]
+    rows = list(zip(*values, strict=True))
+    return plain_table(list(columns), rows, [f"units, SI where none is given: {units}"])
 
 
 def _add_texts(file: h5py.File, name: str, texts: list[str], long_name: str) -> None:

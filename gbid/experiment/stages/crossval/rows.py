@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from gbid.experiment.run.job import Job
+from gbid.tables.table import Table, Value, plain_table
 from gbid.validate import ValidationScores
 
 COLUMNS = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
@@ -75,17 +76,15 @@ def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
     )
 
 
-def write_rows(rows: Sequence[CrossvalRow], key: str, part: Path) -> None:
-    """Write the CSV table of a fit's cross-validation."""
-    with part.open("w", encoding="utf-8", newline="") as handle:
-        handle.write("# fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; ")
-        handle.write("infinity_norm: largest |y - yhat|\n")
-        handle.write("# residual_p: probability of less white residuals if they were white, empty where not tested; ")
-        handle.write("residuals_follow: inputs still to be found in them\n")
-        handle.write(f"# content_key: {key}\n")
-        writer = csv.writer(handle, lineterminator="\n")
-        writer.writerow(COLUMNS)
-        writer.writerows([_cell(getattr(row, column)) for column in COLUMNS] for row in rows)
+def rows_table(rows: Sequence[CrossvalRow]) -> Table:
+    """Table of a fit's cross-validation, as its CSV file holds it."""
+    notes = (
+        "fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; infinity_norm: largest |y - yhat|",
+        "residual_p: probability of less white residuals if they were white, empty where not tested; "
+        "residuals_follow: inputs still to be found in them",
+    )
+    values = [[_value(getattr(row, column)) for column in COLUMNS] for row in rows]
+    return plain_table(COLUMNS, values, notes)
 
 
 def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
@@ -115,5 +114,5 @@ def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
     return rows
 
 
-def _cell(value: Any) -> Any:
+def _value(value: Any) -> Value:
     return " ".join(value) if isinstance(value, tuple) else value

@@ -21,14 +21,15 @@ from gbid.experiment.stages.crossval.pairing import (
     with_local,
 )
 from gbid.experiment.stages.crossval.plan import validation_pairs
-from gbid.experiment.stages.crossval.rows import COLUMNS, CrossvalRow, read_rows, scores_of_rows, write_rows
+from gbid.experiment.stages.crossval.rows import COLUMNS, CrossvalRow, read_rows, rows_table, scores_of_rows
 from gbid.experiment.stages.fit.stage import load_made_fit, model_key
 from gbid.experiment.stages.prefilter.stage import load_fit_input
 from gbid.identify import FitResult
 from gbid.recording import Recording
+from gbid.tables.csv import write_csv
 from gbid.validate import ValidationSummary, save_validation_summary, summarise
 from gbid.validate.many import Simulator, score, simulator, validation_data
-from gbid.validate.store import write_summary_csv
+from gbid.validate.store import summary_csv_table
 
 FOLDER = "crossval"
 SUMMARY = "_summary"
@@ -92,7 +93,11 @@ def _crossval(job: Job, name: str) -> tuple[list[Outcome], list[CrossvalRow]]:
         job.reporter.end(outcomes[-1])
     if rows:
         key = run.key([pair for pair in pairs if pair not in failed])
-        outcomes.append(produce(job, "crossval", name, path, key, partial(write_rows, rows, key)))
+        outcomes.append(
+            produce(
+                job, "crossval", name, path, key, partial(write_csv, rows_table(rows), comments=[f"content_key: {key}"])
+            )
+        )
         texts = [f"{model} on {recording}: {text}" for (model, recording), text in failed.items()]
         summary, own = (
             summarise(scores_of_rows(job, rows), failed=texts),
@@ -209,4 +214,4 @@ def _write_summary(summary: ValidationSummary, part: Path) -> None:
 
 
 def _write_summary_csv(key: str, summary: ValidationSummary, part: Path) -> None:
-    write_summary_csv(summary, part, f"content_key: {key}")
+    write_csv(summary_csv_table(summary), part, [f"content_key: {key}"])

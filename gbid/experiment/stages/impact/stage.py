@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.characterise.store import write_csv
 from gbid.control.impact.impact_store import load_impacts, mode_rows, response_rows, save_impacts
 from gbid.control.impact.study import ImpactStudy, study_impacts
 from gbid.errors import GbidError
@@ -34,6 +33,8 @@ from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options
 from gbid.recording import Recording, save_recording
 from gbid.rig import Machine, SampledController, Stationary, record
+from gbid.tables.csv import write_csv
+from gbid.tables.table import table_of_records
 
 FOLDER = "impacts"
 RECORDINGS = "impacts/recordings"
@@ -234,4 +235,4 @@ def _write_csv(job: Job, item: str, part: Path) -> None:
     word, *names = item.split(",")
     studies = [load_impacts(job.path(FOLDER, name)) for name in names]
     rows = [row for study in studies for row in (mode_rows(study) if word == "impacts" else response_rows(study))]
-    write_csv(part, rows, f"content_key: {_csv_key(job, names)}")
+    write_csv(table_of_records(rows), part, [f"content_key: {_csv_key(job, names)}"])

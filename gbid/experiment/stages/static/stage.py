@@ -14,7 +14,6 @@ from gbid.characterise import (
     save_static,
     static_rows,
 )
-from gbid.characterise.store import write_csv
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key
 from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals
@@ -22,6 +21,8 @@ from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.perform import run_tasks
 from gbid.experiment.stages.static.schema import wanted_signals
+from gbid.tables.csv import write_csv
+from gbid.tables.table import table_of_records
 
 FOLDER = "static"
 _OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel", "settle_s", "limits")
@@ -99,4 +100,4 @@ def _write(job: Job, name: str, part: Path) -> Made:
 def _write_csv(job: Job, item: str, part: Path) -> None:
     name = item.removesuffix(" (csv)")
     key = content_key("static csv", {}, [static_key(job.experiment, name)])
-    write_csv(part, static_rows(load_made_static(job, name)), f"content_key: {key}")
+    write_csv(table_of_records(static_rows(load_made_static(job, name))), part, [f"content_key: {key}"])
