@@ -4,7 +4,9 @@ from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.multistart import MultiStart, fit_multistart
 from gbid.identify.nlp.watch import Progress
-from gbid.identify.result import FitResult
+from gbid.identify.options import FitOptions
+from gbid.identify.result import FitResult, StartsTried
+from gbid.identify.status import FitStatus
 from gbid.identify.store import load_fit, save_fit
 from gbid.identify.table.fit_table import FitTable
 from gbid.identify.table.table_store import load_table, save_table
@@ -12,10 +14,13 @@ from gbid.identify.table.tabulate import TableEntry, tabulate
 from gbid.identify.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [
+    "FitOptions",
     "FitResult",
+    "FitStatus",
     "FitTable",
     "MultiStart",
     "Progress",
+    "StartsTried",
     "TableEntry",
     "Whiteness",
     "correlation",

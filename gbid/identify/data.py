@@ -69,7 +69,7 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
     ----------
     recording : Recording
     names : sequence of str
-        Signals (``"p"``: all channels) or channels (``"p.x"``).
+        Signals (``"p"``: all channels) or channels (``"p.x"``). A signal of the very name comes first.
 
     Returns
     -------
@@ -86,7 +86,7 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
     labels: list[str] = []
     units: list[str] = []
     for name in names:
-        signal, _, channel = name.partition(".")
+        signal, channel = _meant(recording, name)
         values, channels = (
             recording.signal(signal),
             recording.channels[signal],
@@ -101,6 +101,14 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
         labels += [f"{signal}_{channels[i]}" if len(channels) > 1 else signal for i in picked]
         units += [recording.units[signal]] * len(picked)
     return (np.hstack(columns) if columns else np.zeros((recording.n_samples, 0))), labels, units
+
+
+def _meant(recording: Recording, name: str) -> tuple[str, str]:
+    """Signal and channel that a name means, the channel empty for all; names of both may have points in them."""
+    at = [i for i, letter in enumerate(name) if letter == "."]
+    readings = [(name, ""), *((name[:i], name[i + 1 :]) for i in at)]
+    there = [each for each in readings if each[0] in recording.signals]
+    return there[0] if there else readings[1 if at else 0]
 
 
 def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int) -> FitData:

@@ -9,19 +9,21 @@ from typing import Literal
 
 import numpy as np
 
-from gbid.discretise import Hold
+from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
 from gbid.identify.data import FitData, gather
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.nlp.nlp_problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.nlp.shooting import Criterion
-from gbid.identify.nlp.solver import UNSTABLE, solve
+from gbid.identify.nlp.solver import solve
 from gbid.identify.nlp.watch import Progress, Stop
+from gbid.identify.options import FitOptions
 from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.result import FitResult
 from gbid.identify.start import start_values
+from gbid.identify.status import FitStatus
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
 from gbid.threads import one_blas_thread
@@ -131,16 +133,6 @@ def fit(
         begin = _within(parameters, start_values(structure, data, stated), set(stated))
     asked = {**(start or {}), **(fixed or {})}
     origin = {q.name: "user" if q.name in asked else "structure" if q.name in stated else "data" for q in parameters}
-    options = {
-        "inputs": " ".join(in_names),
-        "outputs": " ".join(out_names),
-        "focus": focus,
-        "horizon": str(horizon),
-        "intersample": hold if isinstance(hold, str) else " ".join(hold),
-        "criterion": criterion,
-        "stop": stop,
-        "initial_state": initial_state if isinstance(initial_state, str) else "given",
-    }
 
     def attempt(samples: int | None, gain_held: bool = False) -> FitResult:
         used = _with_gain_held(structure, parameters) if gain_held else parameters
@@ -163,10 +155,20 @@ def fit(
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         first = np.clip(unknowns, lower, upper)
         solution = solve(problem, first, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
-        length = "one per recording" if samples is None else str(window_length(problem))
-        said = {**options, "window": length, "engine": assembly.engine}
-        known = initial_state != "estimated"
-        return outcome(structure, used, data, assembly, problem, solution, full, origin, said, known)
+        options = FitOptions(
+            inputs=in_names,
+            outputs=out_names,
+            focus=focus,
+            horizon=horizon,
+            intersample=check_holds(hold, len(data.input_names)),
+            criterion=criterion,
+            stop=stop,
+            initial_state=initial_state if isinstance(initial_state, str) else "given",
+            offsets=offsets,
+            window=None if samples is None else window_length(problem),
+            engine=assembly.engine,
+        )
+        return outcome(structure, used, data, assembly, problem, solution, full, origin, options)
 
     # Small matrices: several BLAS threads only wait for one another. An unstable start overflows: the status says so.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -190,17 +192,17 @@ def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] 
         tried.append(result)
         if result.success:
             break
-        if result.status == UNSTABLE:
+        if result.status is FitStatus.UNSTABLE_PREDICTOR:
             result = attempt(samples, gain_held=True)
             note = "a free disturbance gain led to the edge of an unstable predictor: it was held at its start"
-            status = f"{result.status}, with the disturbance gain held"
+            status = FitStatus.CONVERGED_GAIN_HELD if result.success else result.status
             return replace(result, status=status, notes=(*result.notes, note))
     else:
         finite = [r for r in tried if np.isfinite(r.loss)]
         result = min(finite, key=lambda r: r.loss) if finite else tried[0]
     if len(tried) > 1:
-        others = ", ".join(r.options["window"] for r in tried if r is not result)
-        note = f"windows of {others} samples did not converge; this is the result with {result.options['window']}"
+        others = ", ".join(str(r.options.window) for r in tried if r is not result)
+        note = f"windows of {others} samples did not converge; this is the result with {result.options.window}"
         result = replace(result, notes=(*result.notes, note))
     return result
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.identify.fit import fit
-from gbid.identify.result import FitResult
+from gbid.identify.result import FitResult, StartsTried
 from gbid.recording import Recording
 from gbid.structure import Structure
 
@@ -24,7 +24,7 @@ class MultiStart:
     Attributes
     ----------
     best : FitResult
-        The converged one of smallest loss; of all, when none converged.
+        The converged one of smallest loss; of all, when none converged. Its `multi_start` counts the others.
     losses : (n_starts,) array
         In the order of the starts, the first being the structure's own; nan where a start overflowed.
     converged : (n_starts,) boolean array
@@ -88,7 +88,8 @@ def fit_multistart(
     asked = dict(options.pop("start", None) or {})
     fixed = set(options.get("fixed") or {})
     bounds = options.get("bounds") or {}
-    centres = {name.partition("[")[0]: first.start[name] for name in first.free}  # local ones draw one for all groups
+    own = first.own_names
+    centres = {own.get(name, name): first.start[name] for name in first.free}  # local ones draw one for all groups
     results = [first]
     for _ in range(starts - 1):
         drawn = dict(asked)
@@ -107,4 +108,6 @@ def fit_multistart(
     best = results[int(np.argmin(np.where(eligible, losses, np.inf)))]
     good = losses[converged & np.isfinite(losses)]
     same = int((np.abs(good - best.loss) <= 1e-6 * abs(best.loss)).sum())
-    return MultiStart(best, losses, converged, same, float(good.max() / good.min()) if len(good) else np.inf)
+    spread = float(good.max() / good.min()) if len(good) else np.inf
+    tried = StartsTried(starts, seed, int(converged.sum()), same, spread)
+    return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread)

@@ -14,7 +14,9 @@ from gbid.identify.data import FitData
 from gbid.identify.nlp.assembly import Assembly
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
+from gbid.identify.options import FitOptions
 from gbid.identify.result import FitResult
+from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.whiteness import whiteness_test
@@ -24,7 +26,6 @@ _COLOURED = 0.01  # probability below which residuals do not count as white, sha
 _MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
 _NEAR = 1e-6  # of a parameter's scale: it lies on its bound
 _NEAR_IN_STD = 1e-3  # so does one that is nearer to it than this part of its standard deviation
-_OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
 
 
 def outcome(
@@ -36,8 +37,7 @@ def outcome(
     solution: Solution,
     begin: Mapping[str, float],
     origin: Mapping[str, str],
-    options: Mapping[str, str],
-    initial_known: bool,
+    options: FitOptions,
 ) -> FitResult:
     """Evaluate a fit where its solver stopped.
 
@@ -51,10 +51,7 @@ def outcome(
         Start values by full name.
     origin : dict of str to str
         Where each start came from.
-    options : dict of str to str
-        What was asked, for the record.
-    initial_known : bool
-        Whether initial states were given.
+    options : FitOptions
 
     Returns
     -------
@@ -66,9 +63,8 @@ def outcome(
     values = problem.values(theta)
     errors = problem.errors(values, starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
-    success, status = solution.success, solution.status
-    if not (np.isfinite(products).all() and np.isfinite(theta).all()):
-        success, status = False, _OVERFLOW
+    finite = np.isfinite(products).all() and np.isfinite(theta).all()
+    initial_known = options.initial_state != "estimated"
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
     white = whiteness_test(by_record)
@@ -97,6 +93,8 @@ def outcome(
     std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
     mean_square = products / problem.n_samples
     units = {q.name: q.unit for q in parameters}
+    units |= {f"offset_{channel}": unit for channel, unit in zip(data.output_names, data.output_units, strict=True)}
+    own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
     first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
     own = [q.name for q in structure.parameters]
     model = evaluate(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
@@ -108,7 +106,7 @@ def outcome(
         recordings=tuple(record.name for record in data.records),
         parameters=estimates,
         std=std,
-        units={name: units.get(name.partition("[")[0], _offset_unit(name, data)) for name in estimates},
+        units={name: units[own_name[name]] for name in estimates},
         free=tuple(q.name for q in free),
         covariance=chosen,
         covariance_white=found.white,
@@ -120,16 +118,15 @@ def outcome(
         initial_states=starts[assembly.record_window],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
-        fit_percent=_fit_percent(data, by_record, counted, int(options["horizon"])),
+        fit_percent=_fit_percent(data, by_record, counted, options.horizon),
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=found.condition,
-        status=status,
-        success=success,
+        status=solution.status if finite else FitStatus.OVERFLOW,
         iterations=solution.iterations,
         wall_time_s=0.0,
         start={name: begin[name] for name in estimates},
-        start_origin={name: origin.get(name.partition("[")[0], "structure") for name in estimates},
+        start_origin={name: origin.get(own_name[name], "structure") for name in estimates},
         notes=(*_notes(assembly, begin, free, on_bound, found, trusted), *_edge_note(problem, theta)),
         options=options,
         model=model,
@@ -202,11 +199,6 @@ def _local_names(data: FitData, assembly: Assembly) -> dict[str, dict[str, str]]
         for record, names in zip(data.records, assembly.record_names, strict=True)
         if any(short != full for short, full in names.items())
     }
-
-
-def _offset_unit(name: str, data: FitData) -> str:
-    channel = name.partition("[")[0].removeprefix("offset_")
-    return data.output_units[data.output_names.index(channel)] if channel in data.output_names else ""
 
 
 def _notes(

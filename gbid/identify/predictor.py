@@ -262,7 +262,7 @@ def build_predictor(
     prompt = sorted({*_driven(m.B), *_driven(m.D)})
     noise = _only_in_gain(m)
     return Predictor(
-        free=(*free, *(Parameter(name, 0.0) for name in offset_names)),
+        free=(*free, *(Parameter("offset", 0.0).renamed(name) for name in offset_names)),
         noise=tuple(i for i, q in enumerate(free) if q.name in noise),
         unused=unused,
         n_states=n,

@@ -10,7 +10,33 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.brief import brief, estimates
+from gbid.identify.options import FitOptions
+from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
+
+
+@dataclass(frozen=True)
+class StartsTried:
+    """How the fits from several starts ended.
+
+    Attributes
+    ----------
+    starts : int
+    seed : int
+        Of the random starts.
+    converged : int
+        How many converged.
+    agreed : int
+        How many converged to the best loss.
+    spread : float
+        Largest over smallest converged loss; inf when none converged.
+    """
+
+    starts: int
+    seed: int
+    converged: int
+    agreed: int
+    spread: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,9 +82,8 @@ class FitResult:
         Akaike's information criterion and final prediction error.
     condition : float
         Condition of the scaled information: how well the data tell the parameters apart.
-    status : str
-        In words, with what to try next when it did not converge.
-    success : bool
+    status : FitStatus
+        Its text says what to try next when it did not converge.
     iterations : int
     wall_time_s : float
         Of the whole fit, start values and covariance included.
@@ -68,7 +93,7 @@ class FitResult:
         Where each start came from: ``"data"``, ``"user"`` or ``"structure"``.
     notes : tuple of str
         What a reader should know: bounds reached, parameters not determined, which pass was run.
-    options : dict of str to str
+    options : FitOptions
         What was asked: focus, intersample, criterion, window, stop and so on.
     model : LinearModel
         The structure at the estimates, in continuous time; with local parameters, those of the first recording.
@@ -76,6 +101,8 @@ class FitResult:
         Time between samples [s].
     local_names : dict of str to dict
         For each recording, the full names of its local parameters by their own; empty without.
+    multi_start : StartsTried or None
+        How other starts ended; None where there was one start.
     """
 
     structure: str
@@ -98,17 +125,17 @@ class FitResult:
     aic: float
     fpe: float
     condition: float
-    status: str
-    success: bool
+    status: FitStatus
     iterations: int
     wall_time_s: float
     start: Mapping[str, float]
     start_origin: Mapping[str, str]
     notes: tuple[str, ...]
-    options: Mapping[str, str]
+    options: FitOptions
     model: LinearModel
     sample_time: float
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    multi_start: StartsTried | None = None
 
     def __repr__(self) -> str:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
@@ -121,6 +148,16 @@ class FitResult:
             modes=[f"{f:.2f} +- {df:.2g} Hz, damping {z:.4f} +- {dz:.2g}" for (f, z), (df, dz) in modes],
             notes=self.notes,
         )
+
+    @property
+    def success(self) -> bool:
+        """Whether the fit converged."""
+        return self.status.success
+
+    @property
+    def own_names(self) -> dict[str, str]:
+        """The structure's name of each local parameter by its full name."""
+        return {full: own for names in self.local_names.values() for own, full in names.items()}
 
     def parameters_of(self, recording: str) -> dict[str, float]:
         """Parameters as one recording has them, under the structure's names.
@@ -137,7 +174,8 @@ class FitResult:
         """
         if recording not in self.recordings:
             raise KeyError(f"recording {recording!r} was not fitted; there are {', '.join(self.recordings)}")
-        shared = {name: value for name, value in self.parameters.items() if "[" not in name}
+        local = self.own_names
+        shared = {name: value for name, value in self.parameters.items() if name not in local}
         own = self.local_names.get(recording, {})
         return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
 

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import h5py
 import numpy as np
 
 from gbid import hdf5
 from gbid.errors import DataError
-from gbid.identify.result import FitResult
+from gbid.identify.options import FitOptions
+from gbid.identify.result import FitResult, StartsTried
+from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
 
 KIND = "fit"
@@ -41,12 +46,13 @@ def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: 
         attributes = {
             "key": key,
             "structure": result.structure,
-            "status": result.status,
+            "status": str(result.status),
             "success": result.success,
             "iterations": result.iterations,
-            "options": json.dumps(dict(result.options)),
+            "options": json.dumps(asdict(result.options)),
             "trusted": result.trusted,
             "local_names": json.dumps({name: dict(own) for name, own in result.local_names.items()}),
+            "multi_start": json.dumps(result.multi_start and asdict(result.multi_start)),
         }
         file.attrs.update(attributes)
         for name, texts in (("recordings", result.recordings), ("notes", result.notes)):
@@ -107,13 +113,22 @@ def _read_result(file: h5py.File) -> FitResult:
     }
     attribute = hdf5.read_attribute
     trusted = str(attribute(file, "trusted"))
+    model = _read_model(file["model"])
+    free = _texts(parameters, "free")
+    local_names = json.loads(str(attribute(file, "local_names")))
+    options = json.loads(str(attribute(file, "options")))
+    if isinstance(options["inputs"], str):
+        options, tried = _from_0_1_0(options, model, free, local_names)
+    else:
+        tried = json.loads(str(attribute(file, "multi_start")))
+    found: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in options.items()}
     return FitResult(
         structure=str(attribute(file, "structure")),
         recordings=_texts(file, "recordings"),
         parameters=numbers["estimate"],
         std=numbers["std"],
         units=dict(zip(names, _texts(parameters, "units"), strict=True)),
-        free=_texts(parameters, "free"),
+        free=free,
         covariance=hdf5.read_dataset(parameters, f"covariance_{trusted}"),
         covariance_white=hdf5.read_dataset(parameters, "covariance_white"),
         covariance_robust=hdf5.read_dataset(parameters, "covariance_robust"),
@@ -125,8 +140,7 @@ def _read_result(file: h5py.File) -> FitResult:
         loss=float(hdf5.read_dataset(file, "loss")),
         error_covariance=hdf5.read_dataset(file, "error_covariance"),
         fit_percent=hdf5.read_dataset(file, "fit_percent"),
-        status=str(attribute(file, "status")),
-        success=bool(attribute(file, "success")),
+        status=_status(str(attribute(file, "status")), success=bool(attribute(file, "success"))),
         iterations=int(attribute(file, "iterations")),
         wall_time_s=float(hdf5.read_dataset(file, "wall_time_s")),
         start=numbers["start"],
@@ -134,10 +148,11 @@ def _read_result(file: h5py.File) -> FitResult:
         aic=float(hdf5.read_dataset(file, "aic")),
         fpe=float(hdf5.read_dataset(file, "fpe")),
         condition=float(hdf5.read_dataset(file, "condition")),
-        local_names=json.loads(str(attribute(file, "local_names"))),
+        local_names=local_names,
+        multi_start=StartsTried(**tried) if tried else None,
         notes=_texts(file, "notes"),
-        options=json.loads(str(attribute(file, "options"))),
-        model=_read_model(file["model"]),
+        options=FitOptions(**found),
+        model=model,
         sample_time=float(hdf5.read_dataset(file, "sample_time")),
     )
 
@@ -195,3 +210,32 @@ def _read_model(group: h5py.Group) -> LinearModel:
 
 def _texts(item: h5py.HLObject, name: str) -> tuple[str, ...]:
     return tuple(str(text) for text in np.atleast_1d(hdf5.read_attribute(item, name)))
+
+
+def _status(text: str, *, success: bool) -> FitStatus:
+    """Return the status of a text; of version 0.1.0, which added words of its own, the nearest one."""
+    if text in list(FitStatus):
+        return FitStatus(text)
+    stem = text.partition(", with the disturbance gain held")[0]
+    if success:
+        return FitStatus.CONVERGED_GAIN_HELD
+    return FitStatus(stem) if stem in list(FitStatus) else FitStatus.SOLVER_FAILED
+
+
+def _from_0_1_0(
+    options: Mapping[str, str], model: LinearModel, free: tuple[str, ...], local_names: Mapping[str, Mapping[str, str]]
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """Return the options and the other starts of a file of version 0.1.0, which has them as texts."""
+    hold = options["intersample"].split()
+    own = {full: name for names in local_names.values() for name, full in names.items()}
+    estimated = {own.get(name, name) for name in free}
+    found: dict[str, Any] = {key: options[key] for key in ("focus", "criterion", "stop", "initial_state", "engine")}
+    found["inputs"], found["outputs"] = options["inputs"].split(), options["outputs"].split()
+    found["horizon"] = int(options["horizon"])
+    found["intersample"] = hold * len(model.input_names) if len(hold) == 1 else hold
+    found["offsets"] = all(f"offset_{name}" in estimated for name in model.output_names)
+    found["window"] = None if options["window"] == "one per recording" else int(options["window"])
+    if "starts" not in options:
+        return found, None
+    tried: dict[str, Any] = {key: int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed")}
+    return found, {"starts": int(options["starts"]), **tried, "spread": float(options["starts_spread"])}

@@ -109,7 +109,7 @@ def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | No
         contents |= {
             "structure": what.structure,
             "recordings": cell(what.recordings),
-            "status": what.status,
+            "status": str(what.status),
             "success": what.success,
             "parameter_name": cell(list(what.parameters)),
             "parameter_value": np.array(list(what.parameters.values()), float),

@@ -63,7 +63,7 @@ def _fit(fit: FitResult) -> dict[str, Any]:
         "kind": "fit",
         "structure": fit.structure,
         "recordings": list(fit.recordings),
-        "status": fit.status,
+        "status": str(fit.status),
         "success": bool(fit.success),
         "parameters": {
             name: {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -115,11 +116,9 @@ def whiteness_rows(result: FitResult) -> list[Row]:
 
 def multi_start_row(result: FitResult) -> Row | None:
     """Tell how the fits from other starts ended; None when there was one start."""
-    if "starts" not in result.options:
+    if result.multi_start is None:
         return None
-    told = {key: result.options[f"starts_{key}"] for key in ("seed", "converged", "agreed", "spread")}
-    counts = {key: int(told[key]) for key in ("seed", "converged", "agreed")}
-    return {"starts": int(result.options["starts"]), **counts, "spread": _known(float(told["spread"]))}
+    return {**asdict(result.multi_start), "spread": _known(result.multi_start.spread)}
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
@@ -157,7 +156,7 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "trusted": result.trusted,
         "whiteness": whiteness_rows(result),
         "multi_start": multi_start_row(result),
-        "options": dict(result.options),
+        "options": asdict(result.options),
         "parameters": parameter_rows(result, truth),
         "modes": mode_rows(result, true_model),
         "static_gain": gain_rows(result, true_model),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from math import inf, isfinite, isnan
 from typing import Any
@@ -57,6 +58,12 @@ class Parameter:
             raise UsageError(
                 f"{where}: start = {self.start:g} lies outside its bounds [{self.lower:g}, {self.upper:g}]"
             )
+
+    def renamed(self, name: str) -> Parameter:
+        """Return a copy under any text: an unknown of a fit that is no parameter of a structure, as ``k_xx[run 1]``."""
+        renamed = copy(self)
+        object.__setattr__(renamed, "name", name)
+        return renamed
 
 
 class Values(dict[str, Any]):

@@ -86,7 +86,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         When the recording lacks a signal or has another sample time, no sample counts, or the simulation overflows.
     """
     (u, input_names, input_units), (y, output_names, output_units) = selected(result, recording)
-    model, between, offsets = result.model, between_samples(result), has_offsets(result)
+    model, between, offsets = result.model, result.options.intersample, result.options.offsets
     if (len(input_names), len(output_names)) != (len(model.input_names), len(model.output_names)):
         raise DataError(
             f"recording {recording.name!r} gives the inputs {', '.join(input_names)} and the outputs "
@@ -138,13 +138,7 @@ def selected(result: FitResult, recording: Recording) -> tuple[Selection, Select
             f"recording {recording.name!r} has sample time {recording.sample_time:g} s; the model was fitted at "
             f"{result.sample_time:g} s, and its delays are tied to it"
         )
-    return select(recording, result.options["inputs"].split()), select(recording, result.options["outputs"].split())
-
-
-def between_samples(result: FitResult) -> str | list[str]:
-    """Behaviour of the inputs of a fit between samples: one word for all, or one each."""
-    hold = result.options["intersample"].split()
-    return hold[0] if len(hold) == 1 else hold
+    return select(recording, result.options.inputs), select(recording, result.options.outputs)
 
 
 def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
@@ -172,18 +166,12 @@ def _kept(values: FloatArray, counted: BoolArray | None) -> FloatArray:
     return values if counted is None else values[counted]
 
 
-def has_offsets(result: FitResult) -> bool:
-    """Whether a fit estimated an offset of each output, as `fit` does with ``offsets=True``."""
-    free = {name.partition("[")[0] for name in result.free}
-    return all(f"offset_{name}" in free for name in result.model.output_names)
-
-
 def estimate_initial_state(
     model: LinearModel,
     inputs: FloatArray,
     outputs: FloatArray,
     sample_time: float,
-    intersample: str | list[str] = "zoh",
+    intersample: str | Sequence[str] = "zoh",
     *,
     offsets: bool = False,
     counted: BoolArray | None = None,

@@ -13,7 +13,7 @@ from gbid.errors import DataError
 from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.structure import LinearModel
-from gbid.validate.crossval import Ranges, between_samples, counted_samples, has_offsets, selected
+from gbid.validate.crossval import Ranges, counted_samples, selected
 from gbid.validate.scores import ValidationScores, join_scores
 
 _WELL_APART = 1e5  # condition of the eigenvectors up to which the modes are run one by one
@@ -124,7 +124,7 @@ def simulator(result: FitResult) -> Simulator:
     nothing = np.zeros((0, 0), complex)
     if model.delay is not None:
         return Simulator(result, None, nothing, nothing, nothing, {})
-    F, now, following = discretise(np.array(model.A), np.array(model.B), result.sample_time, between_samples(result))
+    F, now, following = discretise(np.array(model.A), np.array(model.B), result.sample_time, result.options.intersample)
     poles, vectors = np.linalg.eig(F)
     vectors = vectors / np.linalg.norm(vectors, axis=0)
     if not np.linalg.cond(vectors) < _WELL_APART:
@@ -160,7 +160,7 @@ def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArr
         rest = data.outputs - _from_rest(fitted, data)
         if data.counted is not None:
             rest = rest[:, data.counted]
-        if has_offsets(fitted.result):
+        if fitted.result.options.offsets:
             rest = rest - rest.mean(axis=1, keepdims=True)
         if np.isfinite(rest).all():
             basis = _basis(fitted, data)
@@ -233,7 +233,7 @@ def _from_rest(fitted: Simulator, data: ValidationData) -> FloatArray:
 
     model, u = fitted.model, data.inputs
     if fitted.poles is None:
-        return np.asarray(model.simulate(u.T, data.sample_time, intersample=between_samples(fitted.result)).T)
+        return np.asarray(model.simulate(u.T, data.sample_time, intersample=fitted.result.options.intersample).T)
     simulated = model.D @ u
     for pole, drive, lead, weights in zip(fitted.poles, fitted.drive, fitted.lead, fitted.weights.T, strict=True):
         simple = pole.imag == 0
@@ -255,13 +255,13 @@ def _basis(fitted: Simulator, data: ValidationData) -> FloatArray:
     if key not in fitted.bases:
         model = fitted.model
         silent = np.zeros((n, len(data.input_names)))
-        between = between_samples(fitted.result)
+        between = fitted.result.options.intersample
         starts = np.eye(model.n_states)
         runs = [model.simulate(silent, data.sample_time, initial_state=x, intersample=between).T for x in starts]
         free = np.stack(runs, axis=2)
         if data.counted is not None:
             free = free[:, data.counted]
-        if has_offsets(fitted.result):
+        if fitted.result.options.offsets:
             free = free - free.mean(axis=1, keepdims=True)
         fitted.bases[key] = _orthonormal(free) if np.isfinite(free).all() else np.full((len(free), n, 1), np.inf)
     return fitted.bases[key]

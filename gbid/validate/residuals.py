@@ -13,7 +13,7 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.recording import Recording
-from gbid.validate.crossval import Ranges, between_samples, counted_samples, estimate_initial_state, has_offsets
+from gbid.validate.crossval import Ranges, counted_samples, estimate_initial_state
 from gbid.validate.fit_percent import fit_percent
 
 _LEVEL = 0.99
@@ -112,24 +112,23 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     DataError
         When the recording lacks a signal, or the predictions overflow.
     """
-    inputs, outputs = result.options["inputs"].split(), result.options["outputs"].split()
-    u, input_names, _ = select(recording, inputs)
-    y, output_names, _ = select(recording, outputs)
+    u, input_names, _ = select(recording, result.options.inputs)
+    y, output_names, _ = select(recording, result.options.outputs)
     stretch = _longest(counted_samples(recording, left_out), len(y))
     u, y = u[stretch], y[stretch]
     if lags < 1 or len(y) < 4 * lags:
         raise UsageError(
             f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth"
         )
-    model, between = result.model, between_samples(result)
+    model, between = result.model, result.options.intersample
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            offsets = has_offsets(result)
+            offsets = result.options.offsets
             state = estimate_initial_state(model, u, y, recording.sample_time, between, offsets=offsets)
             predicted = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
             if offsets:
                 y = y - (y - predicted).mean(axis=0)
-            if result.options["focus"] == "prediction":
+            if result.options.focus == "prediction":
                 predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
         except np.linalg.LinAlgError:  # the free responses overflow
             predicted = np.full_like(y, np.inf)

@@ -359,10 +359,10 @@ def test_several_starts_are_counted(tmp_path):
     job = Job(load_experiment(path))
     import_recordings(job)
     (first, _) = run_fits(job)
-    options = load_made_fit(job, "spring", "run1").options
-    assert (options["starts"], options["starts_seed"]) == ("4", "5")
-    assert 1 <= int(options["starts_agreed"]) <= int(options["starts_converged"]) <= 4
-    assert float(options["starts_spread"]) >= 1
+    tried = load_made_fit(job, "spring", "run1").multi_start
+    assert (tried.starts, tried.seed) == (4, 5)
+    assert 1 <= tried.agreed <= tried.converged <= 4
+    assert tried.spread >= 1
     assert first.converged
 
 

@@ -254,7 +254,7 @@ def test_both_engines_fit_alike(focus, fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     rec = simulated(MODE, MODE_AT, levels(700), noise=0.3)
     a, b = (fit(MODE, rec, focus=focus, engine=engine) for engine in ("compiled", "numpy"))
-    assert (a.options["engine"], b.options["engine"]) == ("compiled", "numpy")
+    assert (a.options.engine, b.options.engine) == ("compiled", "numpy")
     assert a.notes == tuple(note for note in b.notes if "numpy" not in note)
     assert a.loss == pytest.approx(b.loss, rel=1e-9)
     for name in a.free:
@@ -364,7 +364,7 @@ def test_without_a_compiler_the_numpy_pass_is_used_and_said(fresh, tmp_path):
     fresh.setenv("CC", "/nonexistent/cc")
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options["engine"] == "numpy"
+    assert result.options.engine == "numpy"
     said = [note for note in result.notes if "numpy pass" in note]
     assert said == ["no C compiler found (/nonexistent/cc): the slower numpy pass was used"]
     assert list(tmp_path.iterdir()) == []
@@ -382,7 +382,7 @@ def test_a_compiler_that_fails_is_none(fresh, tmp_path):
     fresh.setenv("CC", str(compiler))
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options["engine"] == "numpy"
+    assert result.options.engine == "numpy"
     assert any("failed on the kernel: no luck: the slower numpy pass was used" in note for note in result.notes)
     assert not list((tmp_path / "cache").glob("*.so"))
 
@@ -395,7 +395,7 @@ def test_a_cache_that_cannot_be_written_is_said(fresh, tmp_path):
         pytest.skip("no C compiler on this machine: it is missed first")
     result = fit(MODE, DATA, focus="simulation")
     assert result.success
-    assert result.options["engine"] == "numpy"
+    assert result.options.engine == "numpy"
     assert any("cache of compiled kernels cannot be used" in note for note in result.notes)
     with pytest.raises(UsageError, match="engine = 'compiled': the cache of compiled kernels cannot be used"):
         fit(MODE, DATA, engine="compiled")
@@ -420,7 +420,7 @@ from gbid.identify import fit
 
 result = fit(MODE, simulated(MODE, MODE_AT, levels(300), noise=0.3), focus="simulation")
 smallest = np.array([5e-324, 1e-310])
-print(result.options["engine"], (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0 > 0, 1e-308 / 4 > 0)
+print(result.options.engine, (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-324 / 1.0 > 0, 1e-308 / 4 > 0)
 """
 
 

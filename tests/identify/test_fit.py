@@ -126,7 +126,7 @@ def test_the_disturbance_gain_is_recovered_from_innovations():
 def test_the_hold_enters(hold, bias):
     """A delay found with the wrong hold is off by half a sample."""
     result = fit(RotorBearing(), rotor_data(), intersample=hold, focus="simulation")
-    assert result.options["intersample"] == hold
+    assert result.options.intersample == (hold, hold)
     off = KEY["tau_x"] - result.parameters["tau_x"]
     assert (abs(off - 1e-4) < 3e-5) if bias else (abs(off) < 1e-5)
 
@@ -136,7 +136,7 @@ def test_one_hold_for_each_input():
     rec = simulated(EVERY, EVERY_AT, u, hold=("zoh", "foh"))
     result = fit(EVERY, rec, start={**EVERY_AT, "w": 2.8}, intersample=("zoh", "foh"), focus="simulation")
     assert_exact(result, EVERY_AT, "awbcd")
-    assert result.options["intersample"] == "zoh foh"
+    assert result.options.intersample == ("zoh", "foh")
 
 
 # ---- invariance ----
@@ -280,7 +280,7 @@ def test_the_papers_stopping_rule():
     assert paper.iterations <= tight.iterations
     assert paper.loss == pytest.approx(tight.loss, rel=1e-4)
     assert np.abs(sigmas(paper, tight.parameters, PHYSICAL)).max() < 0.1
-    assert paper.options["stop"] == "paper"
+    assert paper.options.stop == "paper"
 
 
 def test_progress_is_reported():
@@ -317,7 +317,7 @@ def test_channels_can_be_picked():
     result = fit(MODE, mixed, inputs="u.y", outputs="y", focus="simulation")
     assert np.abs(sigmas(result, MODE_AT, PHYSICAL)).max() < 4.5
     assert result.model.input_names == ("u_y",)
-    assert result.options["inputs"] == "u.y"
+    assert result.options.inputs == ("u.y",)
 
 
 def test_fit_percent_is_that_of_the_definition():

@@ -253,7 +253,7 @@ def test_initial_states_zero_given_and_estimated():
     assert all(known[name] < 1.001 * unknown[name] for name in PHYSICAL)
     assert any(known[name] < 0.98 * unknown[name] for name in PHYSICAL)  # not estimating it leaves more information
     assert np.abs(away(given, MODE_AT, PHYSICAL)).max() < 4
-    assert [r.options["initial_state"] for r in (estimated, given, zero)] == ["estimated", "given", "zero"]
+    assert [r.options.initial_state for r in (estimated, given, zero)] == ["estimated", "given", "zero"]
 
 
 def test_a_given_initial_state_holds_for_every_window_length_and_recording():
@@ -414,7 +414,7 @@ def test_a_fit_some_steps_ahead():
     results = {h: fit(LAG, rec, horizon=h) for h in (1, 4, 12)}
     for h, result in results.items():
         assert result.success
-        assert result.options["horizon"] == str(h)
+        assert result.options.horizon == h
         x0 = result.initial_states[0]
         ahead = looking_ahead(LAG, result.parameters, rec.signal("u"), rec.signal("y"), x0, "zoh", h)
         error = rec.signal("y")[h - 1 :] - ahead
@@ -570,15 +570,15 @@ def test_the_windows_that_were_tried_are_told():
     usual, shorter, longer = 125, 62, 500
     tried = {str(w) for w in (usual, shorter, longer)}
     others = set(note.removeprefix("windows of ").split(" samples")[0].split(", "))
-    assert others | {result.options["window"]} == tried
-    assert note.endswith(f"the result with {result.options['window']}")
+    assert others | {str(result.options.window)} == tried
+    assert note.endswith(f"the result with {result.options.window}")
     losses = {}
     for w in (usual, shorter, longer):
         alone = fit(MODE, rec, focus="simulation", start={"w": 9.0}, max_iterations=1, window=w)
-        losses[str(w)] = alone.loss
+        losses[w] = alone.loss
         assert not [note for note in alone.notes if "windows of" in note]  # asked for, so nothing else was tried
     assert result.loss == min(losses.values())
-    assert losses[result.options["window"]] == result.loss
+    assert losses[result.options.window] == result.loss
     assert not [note for note in fit(MODE, rec, focus="simulation").notes if "windows of" in note]
 
 

@@ -36,11 +36,11 @@ def assert_same(a, b):
         "fpe",
         "condition",
     )
-    for name in (*scalars, "recordings", "free", "notes", "local_names"):
+    for name in (*scalars, "recordings", "free", "notes", "local_names", "options", "multi_start"):
         assert getattr(a, name) == getattr(b, name), name
         assert type(getattr(a, name)) is type(getattr(b, name)), name
     assert a.sample_time == b.sample_time
-    for name in ("parameters", "std", "units", "start", "start_origin", "options"):
+    for name in ("parameters", "std", "units", "start", "start_origin"):
         one, two = getattr(a, name), getattr(b, name)
         assert list(one) == list(two), name
         for key in one:  # also nan
@@ -164,6 +164,7 @@ DAMAGE = {
     "text for numbers": (lambda f: put(f, "loss", "much"), "holds object, not numbers"),
     "newer schema": (lambda f: f.attrs.__setitem__("schema_version", 99), "schema_version 99"),
     "options are no JSON": (lambda f: f.attrs.__setitem__("options", "{"), TORN),
+    "an unknown option": (lambda f: f.attrs.__setitem__("options", '{"inputs": ["u"], "much": 1}'), TORN),
     "a name too few": (lambda f: f["parameters"].attrs.__setitem__("names", ["w", "z"]), TORN),
     "matrices of wrong shape": (lambda f: put(f["model"], "A", np.eye(3)), TORN + r" \(model 'mode': B has shape"),
     "loss of wrong shape": (lambda f: put(f, "loss", [1.0, 2.0]), TORN),

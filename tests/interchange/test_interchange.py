@@ -14,7 +14,7 @@ from scipy.io import loadmat
 
 import gbid
 from gbid.errors import UsageError
-from gbid.identify import FitResult
+from gbid.identify import FitResult, FitStatus
 from gbid.interchange import save_csv, save_mat, save_yaml
 from gbid.lpv.basis import TERMS
 from gbid.structure import KEY_PARAMETERS, LinearModel, evaluate
@@ -56,8 +56,7 @@ def some_fit() -> FitResult:
         "initial_states": np.zeros((1, 6)),
         "error_covariance": np.eye(2),
         "fit_percent": np.array([[91.0, 92.0]]),
-        "status": "converged",
-        "success": True,
+        "status": FitStatus.CONVERGED,
         "model": model,
         "sample_time": 2e-4,
     }

@@ -86,7 +86,7 @@ def test_a_known_autocorrelation(result, rho):
     u = levels(20000, seed=3)
     e = lfilter([0.2], [1, -rho], np.random.default_rng(5).normal(size=(20000, 1)), axis=0)
     rec = Recording({"u": u, "y": evaluate(LAG, LAG_AT).simulate(u, H) + e}, H, name="coloured")
-    own = replace(held(result, LAG_AT), options={**result.options, "focus": "simulation"})
+    own = replace(held(result, LAG_AT), options=replace(result.options, focus="simulation"))
     found = check_residuals(own, rec, lags=20)
     np.testing.assert_allclose(found.autocorrelation[0], rho ** np.arange(21), atol=0.06)
     assert found.p_white[0] < 1e-10
@@ -130,7 +130,7 @@ def test_a_delay_that_is_left_out_shows_at_its_lags():
 def test_bands_cover_ninety_nine_of_a_hundred(result, rho, hold):
     """For residuals of any colour and inputs of any colour, as long as one has nothing of the other."""
     outside_cross, outside_auto, chance = [], [], []
-    own = replace(held(result, {**LAG_AT, "k": 0.0}), options={**result.options, "focus": "simulation"})
+    own = replace(held(result, {**LAG_AT, "k": 0.0}), options=replace(result.options, focus="simulation"))
     for seed in range(40):
         random = np.random.default_rng(100 + seed)
         u = np.repeat(random.choice([-1.0, 1.0], (2000 // hold, 1)), hold, axis=0)

@@ -19,6 +19,7 @@ from gbid.identify.kernel.source import KernelPattern, kernel_source
 from gbid.identify.predictor import PredictorValues
 
 EngineName = Literal["auto", "compiled", "numpy"]
+RunEngine = Literal["compiled", "numpy"]
 
 
 class ChosenEngine(NamedTuple):
@@ -27,14 +28,13 @@ class ChosenEngine(NamedTuple):
     Attributes
     ----------
     run : PassEngine
-    name : str
-        ``"compiled"`` or ``"numpy"``.
+    name : {"compiled", "numpy"}
     note : str
         Why it is not the compiled one, when that was wanted; else empty.
     """
 
     run: PassEngine
-    name: str
+    name: RunEngine
     note: str
 
 

@@ -14,7 +14,7 @@ from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
 from gbid.identify.kernel.blocks import LANES, Segment, cut
-from gbid.identify.kernel.engine import EngineName, choose_engine
+from gbid.identify.kernel.engine import EngineName, RunEngine, choose_engine
 from gbid.identify.nlp.shooting import RecordGroup
 from gbid.identify.nlp.ties import Ties, tie_of
 from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
@@ -46,8 +46,7 @@ class Assembly:
         First window of each record.
     record_names : tuple of dict
         For each record, the full name of every free parameter that it sees, by the structure's name.
-    engine : str
-        Name of the engine.
+    engine : {"compiled", "numpy"}
     notes : tuple of str
     """
 
@@ -57,8 +56,13 @@ class Assembly:
     unused: tuple[str, ...]
     record_window: IntArray
     record_names: tuple[Mapping[str, str], ...]
-    engine: str
+    engine: RunEngine
     notes: tuple[str, ...]
+
+    @property
+    def own_names(self) -> dict[str, str]:
+        """The structure's name of each free parameter by its full name."""
+        return {full: own for names in self.record_names for own, full in names.items()}
 
 
 def assemble(
@@ -206,15 +210,8 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
         for names in record_names:
             full = names.get(q.name)
             if full is not None and full not in found:
-                found[full] = q if full == q.name else _renamed(q, full)
+                found[full] = q if full == q.name else q.renamed(full)
     return tuple(found.values())
-
-
-def _renamed(q: Parameter, name: str) -> Parameter:
-    """Copy a parameter under the name of a local one, which is no identifier."""
-    copy = replace(q)
-    object.__setattr__(copy, "name", name)
-    return copy
 
 
 def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[_Stretch]:
@@ -298,7 +295,7 @@ class _Builder:
         self._window, self._begin, self._engine = window, begin, engine
         self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Segment]]] = {}
         self._order: list[tuple[_Key, int]] = []
-        self.engine_name = ""
+        self.engine_name: RunEngine = "numpy"
         self.notes: list[str] = []
 
     def add(

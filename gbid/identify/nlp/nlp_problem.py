@@ -127,7 +127,7 @@ def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prio
     full = {q.name: i for i, q in enumerate(assembly.free)}
     mean, information = np.zeros(len(full)), np.zeros(len(full))
     for name, (value, std) in prior.items():
-        own = [i for long, i in full.items() if name in (long, long.partition("[")[0])]
+        own = [i for long, i in full.items() if name in (long, assembly.own_names.get(long))]
         if not own:
             raise UsageError(f"prior names a parameter that is not estimated: {name}")
         if not (np.isfinite(value) and np.isfinite(std) and std > 0):

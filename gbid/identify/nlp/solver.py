@@ -17,25 +17,22 @@ from gbid.identify.nlp.casadi_callback import Oracle
 from gbid.identify.nlp.hessian import Curvature, GaussNewton, StructuredSecant
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.shooting import Iterate, Pattern, Shooting
-from gbid.identify.nlp.watch import PAPER_TOLERANCE, PATIENCE, Interrupt, Progress, Stop, Watch
+from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
+from gbid.identify.status import FitStatus
 
-UNSTABLE = (
-    "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
-)
-
-_WORDS = {
-    "Solve_Succeeded": "converged",
-    "Solved_To_Acceptable_Level": "converged to the solver's acceptable tolerance only",
-    "Feasible_Point_Found": "converged",
-    "Maximum_Iterations_Exceeded": "not converged: iteration limit reached; start nearer, hold or bound a parameter, "
-    "or allow more iterations",
-    "Restoration_Failed": "not converged: no step closes the gaps between windows; try other start values",
-    "Infeasible_Problem_Detected": "not converged: gaps between windows cannot be closed; try other start values",
-    "Search_Direction_Becomes_Too_Small": "not converged: steps became too small; a parameter may not be determined",
-    "Diverging_Iterates": "not converged: the iterates diverge; check bounds and start values",
-    "Invalid_Number_Detected": "not converged: the predictor overflows; start from a stable model",
-    "Error_In_Step_Computation": "not converged: the step cannot be computed; a parameter may not be determined",
+_BY_IPOPT = {
+    "Solve_Succeeded": FitStatus.CONVERGED,
+    "Solved_To_Acceptable_Level": FitStatus.CONVERGED_ACCEPTABLY,
+    "Feasible_Point_Found": FitStatus.CONVERGED,
+    "Maximum_Iterations_Exceeded": FitStatus.ITERATION_LIMIT,
+    "Restoration_Failed": FitStatus.GAPS_OPEN,
+    "Infeasible_Problem_Detected": FitStatus.GAPS_CONTRADICT,
+    "Search_Direction_Becomes_Too_Small": FitStatus.STEPS_TOO_SMALL,
+    "Diverging_Iterates": FitStatus.DIVERGED,
+    "Invalid_Number_Detected": FitStatus.PREDICTOR_OVERFLOWS,
+    "Error_In_Step_Computation": FitStatus.NO_STEP,
 }
+"""Of IPOPT's return statuses; all others are its own failures."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,16 +43,13 @@ class Solution:
     ----------
     unknowns : (n_unknowns,) array
         Scaled.
-    status : str
-        In words.
-    success : bool
+    status : FitStatus
     iterations : int
     history : tuple of Progress
     """
 
     unknowns: FloatArray
-    status: str
-    success: bool
+    status: FitStatus
     iterations: int
     history: tuple[Progress, ...]
 
@@ -135,10 +129,10 @@ def _run(
     if watch.interrupt.pressed:
         raise KeyboardInterrupt
     unknowns = np.asarray(result["x"], float).ravel()
-    words, success = _in_words(str(solver.stats()["return_status"]), watch)
+    status = _status(str(solver.stats()["return_status"]), watch)
     if not np.isfinite(unknowns).all():
-        unknowns, success = np.asarray(start, float), False
-    return Solution(unknowns, words, success, int(solver.stats()["iter_count"]), tuple(watch.history))
+        unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
+    return Solution(unknowns, status, int(solver.stats()["iter_count"]), tuple(watch.history))
 
 
 def _ipopt(
@@ -213,21 +207,20 @@ def _ipopt(
     return solver, [value, gradient, jac, hess]
 
 
-def _in_words(status: str, watch: Watch) -> tuple[str, bool]:
-    """Say why the solver stopped, and whether that is a success."""
-    if status == "User_Requested_Stop":
+def _status(by_ipopt: str, watch: Watch) -> FitStatus:
+    """Say why the solver stopped: the watch's reason where it was the one to stop it."""
+    if by_ipopt == "User_Requested_Stop":
         if watch.settled:
-            return f"converged: parameters changed by less than {PAPER_TOLERANCE:g} (the paper's rule)", True
+            return FitStatus.CONVERGED_BY_PAPER_RULE
         if watch.unstable >= PATIENCE:
-            return UNSTABLE, False
+            return FitStatus.UNSTABLE_PREDICTOR
         if watch.stuck >= PATIENCE:
-            return _WORDS["Search_Direction_Becomes_Too_Small"], False
+            return FitStatus.STEPS_TOO_SMALL
         if watch.at_rest:
-            return "converged", True
+            return FitStatus.CONVERGED
         if watch.exact:
-            return "converged: the errors are at rounding", True
-    words = _WORDS.get(status, f"not converged: IPOPT says {status}")
-    return words, words.startswith("converged")
+            return FitStatus.CONVERGED_AT_ROUNDING
+    return _BY_IPOPT.get(by_ipopt, FitStatus.SOLVER_FAILED)
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:

@@ -118,7 +118,7 @@ def fit_lpv_direct(
             solved = solve_for(setting, data, shared, S, gains, how)
             found = uncertainty(setting.X, solved.values, solved.information)
             iterations += solved.solution.iterations
-            if not (scatter and solved.solution.success):
+            if not (scatter and solved.solution.status.success):
                 break
             if negative := _negative_delay(setting, found.refined):
                 ended = f"stopped after round {round_}, as the next would begin with {negative}"
@@ -137,8 +137,8 @@ def fit_lpv_direct(
         "iterations": str(iterations),
         "engine": solved.engine,
     }
-    notes = [*gains.notes, ended] if ended else list(gains.notes)
-    if scatter and not ended and solved.solution.success and moved.max() >= _SETTLED:
+    notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
+    if scatter and not ended and solved.solution.status.success and moved.max() >= _SETTLED:
         notes.append(f"after {_ROUNDS} rounds the coefficients still moved by {moved.max():.2g} standard deviations")
     names = tuple(record.name for record in data.records)
     result = _result(start, setting, names, solved, found, scatter=scatter)
@@ -146,8 +146,8 @@ def fit_lpv_direct(
         result,
         model=replace(result.model, name=name or model.name),
         options=options,
-        status=solved.solution.status,
-        success=solved.solution.success,
+        status=str(solved.solution.status),
+        success=solved.solution.status.success,
         notes=tuple(notes),
     )
 

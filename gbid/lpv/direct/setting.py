@@ -100,7 +100,7 @@ def set_up(
         raise UsageError(f"no start for {', '.join(unknown)}; give the start's model actuators, or hold them (fixed)")
     surfaces = _in_columns(model, design, exponents)
     labels = [f"{key} {i + 1}" for key in KEY_PARAMETERS for i in range(len(exponents))]
-    shared = [_named(label, v) for label, v in zip(labels, surfaces.tolist(), strict=True)]
+    shared = [Parameter("coefficient", v).renamed(label) for label, v in zip(labels, surfaces.tolist(), strict=True)]
     shared += [replace(q, start=model.actuators.get(q.name, q.start)) for q in others]
     k, m = len(KEY_PARAMETERS), len(surfaces)
     X = np.zeros((len(points), k + len(others), m + len(others)))
@@ -128,13 +128,6 @@ def _in_columns(model: LPVModel, design: Orthonormal, exponents: Exponents) -> F
     places = [EXPONENTS.index(e) for e in exponents]
     coefficients = np.array([model.coefficients[key] for key in KEY_PARAMETERS])[:, places]
     return np.linalg.solve(design.back, coefficients.T).T.ravel()
-
-
-def _named(name: str, start: float) -> Parameter:
-    """Unknown of a name that is no identifier."""
-    q = Parameter("coefficient", start)
-    object.__setattr__(q, "name", name)
-    return q
 
 
 def _factor(scatter: FloatArray) -> FloatArray:

@@ -16,6 +16,7 @@ from gbid.identify.nlp.nlp_problem import build_problem, unknown_bounds
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.predictor import Focus
+from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
 from gbid.lpv.direct.gains import Gains
 from gbid.lpv.direct.setting import Setting
@@ -99,14 +100,17 @@ def solve_for(
             lower[still] = upper[still] = unknowns[still]
             first = np.clip(unknowns, lower, upper)
             solution = solve(problem, first, lower, upper, max_iterations=how.max_iterations, progress=how.progress)
-            if solution.success or not local or held.all():
+            if solution.status.success or not local or held.all():
                 break
         theta, starts = problem.unpack(solution.unknowns)
         own = [q.name for q in problem.parts[0].predictor.free]
         kept = np.array([own.index(name) for name in setting.names])
         whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
     if local and held.all() and not gains.held.all():
-        solution = replace(solution, status=f"{solution.status}, with the disturbance gains held")
+        note = "free disturbance gains did not converge: all were held where they started"
+        gains = replace(gains, notes=(*gains.notes, note))
+        if solution.status.success:
+            solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
     ended = [
         {name: float(theta[place]) for name, place in zip(local, own_places, strict=True)} or values
         for own_places, values in zip(places, gains.values, strict=True)

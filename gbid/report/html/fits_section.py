@@ -68,7 +68,7 @@ def _place(gathered: Gathered, q: FoundFit) -> str:
 
 def _overview(gathered: Gathered, name: str, there: Sequence[FoundFit]) -> list[Block]:
     outputs = there[0].result.model.output_names
-    focus = there[0].result.options.get("focus", "")
+    focus = there[0].result.options.focus
     own = "one step ahead" if focus == "prediction" else focus
     by_point: dict[str, list[FoundFit]] = {}
     for q in there:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -23,7 +22,7 @@ from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.structures import make_structure, structure_settings
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
 from gbid.hdf5 import read_attribute, read_dataset, reading
-from gbid.identify import FitResult, MultiStart, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitResult, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.store import KIND
 from gbid.recording import ProblemKind, Recording
 
@@ -159,26 +158,13 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
         result = fit(structure, data, progress=job.reporter.iteration, **arguments)
     else:
         asked = section.multi_start.model_dump()
-        found = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments)
-        result = _with_starts(found, section.multi_start.seed)
+        result = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments).best
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))
 
 
 def _smallest(percent: npt.NDArray[Any]) -> float:
     return float(percent.min()) if percent.size else math.nan
-
-
-def _with_starts(found: MultiStart, seed: int) -> FitResult:
-    """Return the best of several fits, which remembers how the others ended."""
-    told = {
-        "starts": str(len(found.losses)),
-        "starts_seed": str(seed),
-        "starts_converged": str(int(found.converged.sum())),
-        "starts_agreed": str(found.same_optimum),
-        "starts_spread": f"{found.spread:.6g}",
-    }
-    return replace(found.best, options={**found.best.options, **told})
 
 
 def model_key(experiment: Experiment, name: str, model: str) -> str:

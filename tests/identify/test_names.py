@@ -1,0 +1,86 @@
+"""Names of signals and recordings are free text: they come through fit, validation, tests and file."""
+
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, levels, simulated
+
+import gbid
+from gbid.identify import FitStatus
+from gbid.recording import Recording
+
+NAMES = [("my u", "y"), ("a,b", "x;y"), ("p.x", "p.y"), ("[1]", "v[2]"), ("p", "p.x"), ("=SUM(A1)", "µ, °")]
+
+
+def renamed(recording, source, target, name):
+    signals = {source: recording.signal("u"), target: recording.signal("y")}
+    return Recording(signals, recording.sample_time, name=name)
+
+
+@pytest.mark.parametrize(("source", "target"), NAMES)
+def test_any_name_comes_through(source, target, tmp_path):
+    plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
+    data = [renamed(r, source, target, f"run; {i}, [x] of 'me'") for i, r in enumerate(plain)]
+    asked = {"offsets": True, "local": {"g": "recording"}}
+    found = gbid.fit(MODE, data, inputs=source, outputs=target, **asked)
+    reference = gbid.fit(MODE, plain, **asked)
+    assert list(found.parameters.values()) == list(reference.parameters.values())
+    assert found.units[f"offset_{target}[{data[0].name}]"] == ""
+    assert found.start_origin[f"offset_{target}[{data[0].name}]"] == reference.start_origin["offset_y[0]"]
+    assert list(found.parameters_of(data[1].name).values()) == list(reference.parameters_of("1").values())
+    gbid.save_fit(found, tmp_path / "fit.h5")
+    again = gbid.load_fit(tmp_path / "fit.h5")
+    assert again.options == found.options
+    assert (again.options.inputs, again.options.outputs) == ((source,), (target,))
+    assert again.model.input_names == (source,)
+    for result in (found, again):
+        scored = gbid.cross_validate(result, data[1])
+        np.testing.assert_array_equal(scored.fit_percent, gbid.cross_validate(reference, plain[1]).fit_percent)
+        tested = gbid.check_residuals(result, data[1])
+        assert tested.input_names == (source,)
+        np.testing.assert_array_equal(tested.p_white, gbid.check_residuals(reference, plain[1]).p_white)
+
+
+def test_a_prior_finds_local_offsets_of_a_bracketed_signal():
+    plain = [simulated(MODE, MODE_AT, levels(300, seed=i), noise=0.3, seed=i, name=f"{i}") for i in range(2)]
+    data = [renamed(r, "u", "v[2]", r.name) for r in plain]
+    prior = {"offset_v[2]": (1.0, 1e-6)}
+    found = gbid.fit(MODE, data, inputs="u", outputs="v[2]", offsets=True, prior=prior)
+    assert found.parameters["offset_v[2][0]"] == pytest.approx(1.0, abs=1e-3)
+    assert found.parameters["offset_v[2][1]"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_files_of_0_1_0_open(tmp_path):
+    recording = simulated(MODE, MODE_AT, levels(300), noise=0.3)
+    found = gbid.fit(MODE, recording, offsets=True, window=100)
+    path = tmp_path / "old.h5"
+    gbid.save_fit(found, path)
+    texts = (
+        '{"inputs": "u", "outputs": "y", "focus": "prediction", "horizon": "1", "intersample": "zoh", '
+        '"criterion": "trace", "stop": "tolerance", "initial_state": "estimated", "window": "100", '
+        '"engine": "compiled", "starts": "4", "starts_seed": "5", "starts_converged": "3", "starts_agreed": "2", '
+        '"starts_spread": "inf"}'
+    )
+    with h5py.File(path, "r+") as file:
+        file.attrs["options"] = texts
+        file.attrs["status"] = "converged: the errors are at rounding, with the disturbance gain held"
+        del file.attrs["multi_start"]
+    old = gbid.load_fit(path)
+    assert old.options == replace(found.options, engine="compiled")
+    assert old.status is FitStatus.CONVERGED_GAIN_HELD
+    assert (old.multi_start.starts, old.multi_start.seed, old.multi_start.agreed) == (4, 5, 2)
+    assert old.multi_start.spread == np.inf
+    with h5py.File(path, "r+") as file:
+        file.attrs["options"] = texts.replace('"100"', '"one per recording"')
+        file.attrs["status"], file.attrs["success"] = "not converged: IPOPT says Internal_Error", False
+    assert gbid.load_fit(path).options.window is None
+    assert gbid.load_fit(path).status is FitStatus.SOLVER_FAILED
+
+
+def test_statuses_read_as_text_and_know_success():
+    assert f"{FitStatus.CONVERGED}" == "converged"
+    assert {status.success for status in FitStatus if str(status).startswith("not converged")} == {False}
+    assert {status.success for status in FitStatus if str(status).startswith("converged")} == {True}
+    assert sum(status.success for status in FitStatus) == 5
