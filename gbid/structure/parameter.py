@@ -60,7 +60,13 @@ class Parameter:
             )
 
     def renamed(self, name: str) -> Parameter:
-        """Return a copy under any text: an unknown of a fit that is no parameter of a structure, as ``k_xx[run 1]``."""
+        """Return a copy under another name, such as that of one recording's own value, ``k_xx[run 1]``.
+
+        Parameters
+        ----------
+        name : str
+            Any text; only parameters of structures need identifiers.
+        """
         renamed = copy(self)
         object.__setattr__(renamed, "name", name)
         return renamed

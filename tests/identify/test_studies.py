@@ -131,6 +131,6 @@ def test_starts_far_off_lead_to_the_same_optimum():
             result = fit(RotorBearing(), recording, start=start)
             same.append(result.success and result.loss < reference.loss * (1 + 1e-6))
             if not same[-1]:
-                print(point, i, result.status, result.options["window"], result.loss / reference.loss)
+                print(point, i, result.status, result.options.window, result.loss / reference.loss)
     print(f"starts within +-50 %: {sum(same)} of {len(same)} reach the same optimum")
     assert np.mean(same) >= 0.99
