@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
+from gbid.poles import oscillatory_modes
 from gbid.structure import KEY_PARAMETERS
 
 CHARACTERISTICS = (
@@ -63,10 +64,9 @@ def characteristics(values: npt.ArrayLike) -> FloatArray:
     poles = np.linalg.eigvals(A)
     modes = np.full((len(values), 4), np.nan)
     for i, p in enumerate(poles):
-        upper = p[p.imag > 1e-9 * np.abs(p)]
-        if len(upper) == 2:
-            upper = upper[np.argsort(np.abs(upper))]
-            modes[i] = *(np.abs(upper) / (2 * np.pi)), *(-upper.real / np.abs(upper))
+        found = oscillatory_modes(p)
+        if len(found) == 2:
+            modes[i] = found.T.ravel()
     gains = -np.linalg.solve(K, B).reshape(-1, 4)
     return np.column_stack([column["tau_x"], column["tau_y"], modes, gains])
 

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from gbid.errors import UsageError
-
-if TYPE_CHECKING:
-    from gbid.structure.linear_model import LinearModel
+from gbid.structure.state_space import StateSpace
 
 
-def scipy_state_space(model: LinearModel) -> Any:
+def scipy_state_space(model: StateSpace) -> Any:
     """Return ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
     from scipy import signal
 
@@ -21,7 +19,7 @@ def scipy_state_space(model: LinearModel) -> Any:
     return signal.StateSpace(*matrices, **({} if model.dt is None else {"dt": model.dt}))
 
 
-def control_state_space(model: LinearModel) -> Any:
+def control_state_space(model: StateSpace) -> Any:
     """Return ``control.StateSpace``; see `LinearModel.to_control`."""
     control = _python_control()
     _refuse_delays(model, "python-control")
@@ -66,7 +64,7 @@ def _python_control() -> Any:
     return control
 
 
-def _refuse_delays(model: LinearModel, library: str) -> None:
+def _refuse_delays(model: StateSpace, library: str) -> None:
     if model.delay is not None:
         raise UsageError(
             f"model {model.name!r} has exact delays, which {library} does not know; "

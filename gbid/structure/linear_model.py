@@ -11,9 +11,11 @@ import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import brief
-from gbid.discretise import Hold, check_holds, delayed_taps, discretise, propagate
+from gbid.discretise import discretise, propagate
 from gbid.errors import UsageError
+from gbid.poles import oscillatory_modes
 from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
+from gbid.structure.sampled_run import check_sample_time, sampled_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class LinearModel:
 
     def __post_init__(self) -> None:
         if self.dt is not None:
-            _check_sample_time(self.name, self.dt)
+            check_sample_time(self.name, self.dt)
         A, B, C, D = (np.atleast_2d(np.array(m, float)) for m in (self.A, self.B, self.C, self.D))
         n, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
         K = None if self.K is None else np.atleast_2d(np.array(self.K, float))
@@ -119,9 +121,7 @@ class LinearModel:
         A complex pair ``lambda`` has the natural frequency ``|lambda| / 2 pi`` and the damping factor
         ``-Re(lambda) / |lambda|``. Real poles are no modes; `poles` lists them.
         """
-        poles = self.poles()
-        pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
-        return [(float(abs(p) / (2 * np.pi)), float(-p.real / abs(p))) for p in pairs]
+        return [(frequency, damping) for frequency, damping in oscillatory_modes(self.poles()).tolist()]
 
     def static_gain(self) -> FloatArray:
         """Gain at rest, shape (n_outputs, n_inputs).
@@ -183,7 +183,7 @@ class LinearModel:
             raise UsageError(
                 f"model {self.name!r} has exact delays: turn them into states first, with_pade(model, order)"
             )
-        _check_sample_time(self.name, sample_time)
+        check_sample_time(self.name, sample_time)
         B = self.B if self.K is None else np.hstack([self.B, self.K])
         F, G, _ = discretise(np.array(self.A), B, sample_time, "zoh")
         n_u = self.B.shape[1]
@@ -219,7 +219,7 @@ class LinearModel:
             When shapes do not fit, an input is not finite, the sample time is missing or differs, or
             `intersample` is asked of a discrete model.
         """
-        F, forcing, u, x0 = self._driven(inputs, sample_time, initial_state, intersample)
+        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
 
     def predict(
@@ -256,7 +256,7 @@ class LinearModel:
         UsageError
             As `simulate`, or when the outputs do not fit.
         """
-        F, forcing, u, x0 = self._driven(inputs, sample_time, initial_state, intersample)
+        F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
         y = np.asarray(outputs, float)
         if y.shape != (len(u), self.C.shape[0]) or not np.isfinite(y).all():
             expected = (len(u), self.C.shape[0])
@@ -312,53 +312,6 @@ class LinearModel:
         """
         return cls(**from_state_space(system, name))
 
-    def _driven(
-        self,
-        inputs: npt.ArrayLike,
-        sample_time: float | None,
-        initial_state: npt.ArrayLike | None,
-        intersample: str | Sequence[str],
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Check a sampled run; return transition, forcing by the inputs, inputs and initial state."""
-        u = np.asarray(inputs, float)
-        if u.ndim != 2 or u.shape[1] != self.B.shape[1]:
-            raise UsageError(
-                f"model {self.name!r}: inputs have shape {u.shape}, expected (n_samples, {self.B.shape[1]})"
-            )
-        if not np.isfinite(u).all():
-            raise UsageError(f"model {self.name!r}: inputs hold values that are not finite")
-        if self.dt is None:
-            if sample_time is None:
-                raise UsageError(f"model {self.name!r} is continuous: give the sample time [s]")
-            _check_sample_time(self.name, sample_time)
-            F, now, following = discretise(np.array(self.A), np.array(self.B), sample_time, intersample)
-        else:
-            if sample_time is not None and not np.isclose(sample_time, self.dt, rtol=1e-9):
-                raise UsageError(f"model {self.name!r} has sample time {self.dt} s, not {sample_time} s")
-            if any(hold != "zoh" for hold in check_holds(intersample, self.B.shape[1])):
-                raise UsageError(f"model {self.name!r} is discrete: its inputs cannot be interpolated")
-            F, now, following = self.A, self.B, np.zeros_like(self.B)
-        x0 = np.zeros(self.n_states) if initial_state is None else np.asarray(initial_state, float)
-        if x0.shape != (self.n_states,):
-            raise UsageError(f"model {self.name!r}: initial_state has shape {x0.shape}, expected ({self.n_states},)")
-        forcing = u @ now.T
-        forcing[:-1] += u[1:] @ following.T
-        if self.delay is not None and sample_time is not None:
-            forcing += self._delayed_forcing(u, sample_time, check_holds(intersample, u.shape[1]))
-        return F, forcing, u, x0
-
-    def _delayed_forcing(self, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
-        """Sum up what the late inputs add to the state; before the record they stood at its first value."""
-        assert self.delay is not None
-        assert self.B_delayed is not None
-        forcing = np.zeros((len(u), self.n_states))
-        for i, hold in enumerate(holds):
-            taps = delayed_taps(np.array(self.A), self.B_delayed[:, [i]], float(self.delay[i]), sample_time, hold)
-            for j, column in enumerate(taps.columns):
-                rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
-                forcing += u[rows, i : i + 1] @ column.T
-        return forcing
-
     def _check_delay(self, n: int, n_u: int) -> None:
         if (self.delay is None) != (self.B_delayed is None):
             raise UsageError(f"model {self.name!r}: delay and B_delayed go together")
@@ -381,9 +334,3 @@ class LinearModel:
     def _require_continuous(self) -> None:
         if self.dt is not None:
             raise UsageError(f"model {self.name!r} is discrete already (sample time {self.dt} s)")
-
-
-def _check_sample_time(model: str, sample_time: float) -> None:
-    """Refuse sample times that are not positive numbers."""
-    if not (np.isfinite(sample_time) and sample_time > 0):
-        raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")

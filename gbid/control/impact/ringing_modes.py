@@ -9,6 +9,7 @@ from gbid.control.loop.close import close_loop
 from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sampling import sample_plant
 from gbid.errors import UsageError
+from gbid.poles import one_of_each_pair, oscillatory_modes
 from gbid.structure import LinearModel
 
 Modes = tuple[tuple[float, float], ...]
@@ -66,8 +67,7 @@ def ringing_modes(
     there = np.abs(values) > 1e-9 if model.dt is not None else np.ones(len(values), dtype=bool)
     values, residues = values[there].astype(complex), residues[there]  # those of shift registers decay at once
     poles = values if model.dt is None else np.log(values) / model.dt
-    keep = np.flatnonzero(poles.imag > 1e-9 * np.abs(poles))
+    keep = np.flatnonzero(one_of_each_pair(poles))
     energy = (np.abs(residues[keep]) ** 2).sum(axis=(1, 2)) / np.maximum(np.abs(poles[keep].real), 1e-9)
     chosen = poles[keep[np.argsort(-energy)[:count]]]
-    chosen = chosen[np.argsort(np.abs(chosen))]
-    return tuple((float(abs(p) / (2 * np.pi)), float(-p.real / abs(p))) for p in chosen)
+    return tuple((frequency, damping) for frequency, damping in oscillatory_modes(chosen).tolist())

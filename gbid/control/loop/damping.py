@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from math import inf, pi
 
-import numpy as np
-
+from gbid.poles import is_real
 from gbid.structure import LinearModel
 
 
@@ -20,7 +19,7 @@ def smallest_damping(model: LinearModel) -> float:
         but does not ring.
     """
     poles = model.poles()
-    real = poles[np.abs(poles.imag) <= 1e-9 * np.abs(poles)].real
+    real = poles[is_real(poles)].real
     growing = real >= 0 if model.dt is None else real >= 1
     if growing.any():
         return -1.0

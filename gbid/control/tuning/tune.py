@@ -27,6 +27,7 @@ from gbid.control.tuning.worst_points import add_worst_points
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.operating_point import point_label
+from gbid.poles import is_real
 from gbid.structure.linear import Structure
 
 Point = tuple[float, float]
@@ -315,7 +316,7 @@ def _gain_bounds(
 
 def _slowest_mode(poles: ComplexArray) -> float:
     """Slowest decay [1/s] of the oscillatory modes, negative where one grows."""
-    pairs = poles[np.abs(poles.imag) > 1e-9 * np.abs(poles)]
+    pairs = poles[~is_real(poles)]
     return float(-pairs.real.max()) if len(pairs) else 0.0
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.discretise import Dual
+from gbid.poles import one_of_each_pair, oscillatory_modes
 
 
 def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
@@ -30,13 +31,13 @@ def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
     """
     poles, vectors = np.linalg.eig(A.value)
     left = np.linalg.inv(vectors)
-    order = [i for i in np.argsort(np.abs(poles)) if poles[i].imag > 1e-9 * abs(poles[i])]
-    modes, slopes = np.zeros((len(order), 2)), np.zeros((len(order), 2, len(A.slope)))
+    keep = one_of_each_pair(poles)
+    order = [i for i in np.argsort(np.abs(poles)) if keep[i]]
+    modes, slopes = oscillatory_modes(poles), np.zeros((len(order), 2, len(A.slope)))
     for row, i in enumerate(order):
         pole, size = poles[i], abs(poles[i])
         d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i])
         d_size = (np.conj(pole) * d_pole).real / size
-        modes[row] = size / (2 * np.pi), -pole.real / size
         slopes[row] = d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2
     return modes, slopes
 

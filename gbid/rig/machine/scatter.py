@@ -9,6 +9,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
+from gbid.poles import frequencies_and_dampings
 from gbid.rig.machine.machine import RotorBearingTruth
 
 _TRIES = 200
@@ -137,4 +138,4 @@ def _modes(truth: RotorBearingTruth) -> tuple[FloatArray, FloatArray, np.ndarray
         raise UsageError("scatter: the rotor has a mode that does not oscillate; it cannot be scattered by frequency")
     upper = upper[np.argsort(np.abs(values[upper]))]
     half, shapes = values[upper], vectors[:2, upper]
-    return np.abs(half) / (2 * np.pi), -half.real / np.abs(half), np.hstack([shapes, shapes.conj()])
+    return *frequencies_and_dampings(half).T, np.hstack([shapes, shapes.conj()])

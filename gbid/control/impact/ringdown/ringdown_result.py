@@ -11,6 +11,7 @@ from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import Scale
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import UsageError
+from gbid.poles import oscillatory_modes
 
 NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
 """Status of a fit to a response that is damped so much that it does not oscillate."""
@@ -87,9 +88,5 @@ class RingDown:
 def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
     """Frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
     mechanical = np.hstack([-theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate])
-    poles = eigenvalues_of(mechanical)
-    pairs = poles[poles.imag > 1e-9 * np.abs(poles)]
-    if len(pairs) < 2:
-        return np.full(4, np.nan)
-    pairs = pairs[np.argsort(np.abs(pairs))]
-    return np.column_stack([np.abs(pairs) / (2 * np.pi), -pairs.real / np.abs(pairs)]).ravel()
+    modes = oscillatory_modes(eigenvalues_of(mechanical))
+    return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)

@@ -17,7 +17,8 @@ from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.search.limits import ExtraLimit, Limits
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes, respond
-from gbid.control.tuning.search.spectrum import REAL, Eigensystem, Pair, damping_factors, damping_slopes, pair_of
+from gbid.control.tuning.search.spectrum import Eigensystem, Pair, damping_factors, damping_slopes, pair_of
+from gbid.poles import REAL
 
 _RESPONSES = ("sensitivity", "control", "static")
 _WINDOW = 0.3

@@ -8,9 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
-
-REAL = 1e-9
-"""An eigenvalue with a smaller imaginary part, relative to its magnitude, counts as real."""
+from gbid.poles import REAL
 
 
 def damping_factors(eigenvalues: ComplexArray) -> FloatArray:

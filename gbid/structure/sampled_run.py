@@ -1,0 +1,90 @@
+"""A simulation of a linear model over sampled inputs, made ready: transition, forcing and initial state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from gbid.arrays import FloatArray
+from gbid.discretise import Hold, check_holds, delayed_taps, discretise
+from gbid.errors import UsageError
+from gbid.structure.state_space import StateSpace
+
+
+def sampled_run(
+    model: StateSpace,
+    inputs: npt.ArrayLike,
+    sample_time: float | None,
+    initial_state: npt.ArrayLike | None,
+    intersample: str | Sequence[str],
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Check the inputs of a simulation, and prepare its recursion ``x[k+1] = F x[k] + f[k]``.
+
+    Parameters
+    ----------
+    model : StateSpace
+    inputs : (n_samples, n_inputs) array
+    sample_time : float, optional
+        Time between samples [s]; a discrete model has its own.
+    initial_state : (n,) array, optional
+    intersample : {"zoh", "foh"} or sequence of these
+
+    Returns
+    -------
+    F : (n, n) array
+        State transition.
+    f : (n_samples, n) array
+        What the inputs add to the state, late ones included.
+    inputs : (n_samples, n_inputs) array
+    initial_state : (n,) array
+
+    Raises
+    ------
+    UsageError
+        As `LinearModel.simulate`.
+    """
+    u = np.asarray(inputs, float)
+    if u.ndim != 2 or u.shape[1] != model.B.shape[1]:
+        raise UsageError(f"model {model.name!r}: inputs have shape {u.shape}, expected (n_samples, {model.B.shape[1]})")
+    if not np.isfinite(u).all():
+        raise UsageError(f"model {model.name!r}: inputs hold values that are not finite")
+    if model.dt is None:
+        if sample_time is None:
+            raise UsageError(f"model {model.name!r} is continuous: give the sample time [s]")
+        check_sample_time(model.name, sample_time)
+        F, now, following = discretise(np.array(model.A), np.array(model.B), sample_time, intersample)
+    else:
+        if sample_time is not None and not np.isclose(sample_time, model.dt, rtol=1e-9):
+            raise UsageError(f"model {model.name!r} has sample time {model.dt} s, not {sample_time} s")
+        if any(hold != "zoh" for hold in check_holds(intersample, model.B.shape[1])):
+            raise UsageError(f"model {model.name!r} is discrete: its inputs cannot be interpolated")
+        F, now, following = model.A, model.B, np.zeros_like(model.B)
+    x0 = np.zeros(len(model.A)) if initial_state is None else np.asarray(initial_state, float)
+    if x0.shape != (len(model.A),):
+        raise UsageError(f"model {model.name!r}: initial_state has shape {x0.shape}, expected ({len(model.A)},)")
+    forcing = u @ now.T
+    forcing[:-1] += u[1:] @ following.T
+    if model.delay is not None and sample_time is not None:
+        forcing += _delayed_forcing(model, u, sample_time, check_holds(intersample, u.shape[1]))
+    return F, forcing, u, x0
+
+
+def _delayed_forcing(model: StateSpace, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
+    """Sum up what the late inputs add to the state; before the record they stood at its first value."""
+    assert model.delay is not None
+    assert model.B_delayed is not None
+    forcing = np.zeros((len(u), len(model.A)))
+    for i, hold in enumerate(holds):
+        taps = delayed_taps(np.array(model.A), model.B_delayed[:, [i]], float(model.delay[i]), sample_time, hold)
+        for j, column in enumerate(taps.columns):
+            rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
+            forcing += u[rows, i : i + 1] @ column.T
+    return forcing
+
+
+def check_sample_time(model: str, sample_time: float) -> None:
+    """Refuse sample times that are not positive numbers."""
+    if not (np.isfinite(sample_time) and sample_time > 0):
+        raise UsageError(f"model {model!r}: sample time {sample_time} s; it must be a positive number")
