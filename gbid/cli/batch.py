@@ -34,11 +34,11 @@ def batch(
         from gbid.campaign.shard import read_shard
         from gbid.cli.documents import campaign_document
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
-        from gbid.report.tables import campaign_tables
+        from gbid.report.tables.campaign_tables import campaign_tables
 
         part = read_shard(shard) if shard is not None else None
         if collect and (part is not None or retry or scheduler is not None or workers is not None or engine != "auto"):
@@ -68,6 +68,6 @@ def batch(
         if as_json:
             print_json({**document, "outcomes": outcome_rows(outcomes)})
         else:
-            print_table(campaign_tables(document))
+            print_tables(*campaign_tables(document))
             typer.echo("\n".join([*(f"table: {path}" for path in document["table"]), f"results: {loaded.results}"]))
         finish(outcomes)

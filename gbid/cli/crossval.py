@@ -17,14 +17,14 @@ def crossval(
     with guarded(as_json, debug):
         from gbid.cli.documents import crossval_documents, summary_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_crossval, print_json, print_table
+        from gbid.cli.printing import print_crossval, print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
         from gbid.experiment.stages.crossval.stage import run_crossval
         from gbid.experiment.stages.nominal.stage import choose_nominal
-        from gbid.report.validation_tables import nominal_document, nominal_table
+        from gbid.report.tables.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.crossval and loaded.spec.nominal is None:
@@ -42,5 +42,5 @@ def crossval(
         else:
             print_crossval(documents, summaries)
             if central:
-                print_table(nominal_table(central))
+                print_tables(nominal_table(central))
         finish(outcomes, rows)

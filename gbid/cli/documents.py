@@ -22,10 +22,11 @@ from gbid.experiment.stages.static.stage import load_made_static
 from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
-from gbid.report.impact_tables import impact_document
-from gbid.report.rows import fit_document, prefilter_rows
-from gbid.report.static_tables import static_document
-from gbid.report.validation_tables import summary_document
+from gbid.report.tables.fit_document import fit_document
+from gbid.report.tables.impact_tables import impact_document
+from gbid.report.tables.recording_tables import prefilter_rows
+from gbid.report.tables.static_tables import static_document
+from gbid.report.tables.validation_tables import summary_document
 from gbid.validate import load_validation_summary
 
 

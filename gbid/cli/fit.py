@@ -26,14 +26,15 @@ def fit(
         from gbid.campaign.run import working
         from gbid.cli.documents import fit_documents, prefilter_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.problems import nearest
         from gbid.experiment.stages.fit.stage import run_fits
         from gbid.experiment.stages.prefilter.stage import prefilter_recordings
-        from gbid.report.tables import fit_tables, prefilter_table
+        from gbid.report.tables.fit_tables import fit_tables
+        from gbid.report.tables.recording_tables import prefilter_table
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.fits:
@@ -50,7 +51,7 @@ def fit(
             print_json({"prefilter": filtered, "fits": documents, "outcomes": outcome_rows(outcomes)})
         else:
             if filtered:
-                print_table(prefilter_table(filtered), "")
+                print_tables(prefilter_table(filtered))
             for document in documents:
-                print_table(fit_tables(f"{document['fit']}, {document['model']}", document))
+                print_tables(*fit_tables(f"{document['fit']}, {document['model']}", document))
         finish(outcomes)

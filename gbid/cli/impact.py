@@ -21,12 +21,12 @@ def impact(
         from gbid.campaign.run import working
         from gbid.cli.documents import impact_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages.impact.plan import impacts_section
         from gbid.experiment.stages.impact.stage import run_impacts
-        from gbid.report.impact_tables import impact_tables
+        from gbid.report.tables.impact_tables import impact_tables
 
         loaded = load_experiment(experiment, results)
         impacts_section(loaded)
@@ -39,5 +39,5 @@ def impact(
         if as_json:
             print_json({"impacts": documents, "outcomes": outcome_rows(outcomes)})
         else:
-            print_table(impact_tables(documents))
+            print_tables(*impact_tables(documents))
         finish(outcomes)

@@ -16,13 +16,13 @@ def lpv(
     """Draw surfaces over pressure and speed through the fits; how far recordings lie off them."""
     with guarded(as_json, debug):
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
         from gbid.experiment.stages.lpv.stage import draw_surfaces, made_surfaces
-        from gbid.report.lpv_tables import lpv_documents, lpv_tables
+        from gbid.report.tables.lpv_tables import lpv_documents, lpv_table
 
         loaded = load_experiment(experiment, results)
         if loaded.spec.lpv is None:
@@ -34,6 +34,5 @@ def lpv(
         if as_json:
             print_json({"lpv": documents, "outcomes": outcome_rows(outcomes)})
         else:
-            for document in documents:
-                print_table(lpv_tables(document))
+            print_tables(*map(lpv_table, documents))
         finish(outcomes)

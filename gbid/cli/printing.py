@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from gbid.tables.table import Table
 
 _PIPE_WIDTH = 140
 _ROWS = 60  # of a cross-validation; more are in its CSV file only
@@ -22,27 +22,28 @@ def print_json(document: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(_plain(document), indent=2, allow_nan=False))
 
 
-def print_table(*tables: RenderableType) -> None:
-    """Print tables; into a pipe with room enough that nothing is cut."""
+def print_tables(*tables: Table) -> None:
+    """Print tables, an empty line below each; into a pipe with room enough that nothing is cut."""
     from rich.console import Console
+
+    from gbid.tables.terminal import terminal_table
 
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=_PIPE_WIDTH)
     for table in tables:
-        console.print(table)
+        console.print(terminal_table(table), "")
 
 
 def print_crossval(rows: Sequence[Mapping[str, Any]], summaries: Sequence[Mapping[str, Any]]) -> None:
     """Print the tables of each fit that was cross-validated: its pairs, unless they are many, and their summary."""
-    from gbid.report.tables import crossval_table
-    from gbid.report.validation_tables import validation_table
+    from gbid.report.tables.validation_tables import crossval_table, validation_table
 
     for summary in summaries:
         own = [dict(row) for row in rows if row["fit"] == summary["fit"]]
         if len(own) <= _ROWS:
-            print_table(crossval_table(summary["fit"], own), "")
-        print_table(validation_table(dict(summary)), "")
+            print_tables(crossval_table(summary["fit"], own))
+        print_tables(validation_table(dict(summary)))
 
 
 def _plain(value: Any) -> Any:

@@ -27,12 +27,12 @@ def reproduce(
 
         from gbid.atomic import atomic_path
         from gbid.cli.ending import finish
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
         from gbid.report.paper.stage import write_reproduction
-        from gbid.report.paper.table import reproduction_table
+        from gbid.report.paper.table import reproduction_tables
 
         loaded = load_experiment(experiment, results)
         with reporting() as reporter:
@@ -43,6 +43,6 @@ def reproduce(
         if as_json:
             print_json(document)
         else:
-            print_table(reproduction_table(document))
+            print_tables(*reproduction_tables(document))
             typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
         finish(outcomes)

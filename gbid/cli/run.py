@@ -32,7 +32,7 @@ def run(
             summary_documents,
         )
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_crossval, print_json, print_table
+        from gbid.cli.printing import print_crossval, print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.cli.tally import MANY
         from gbid.experiment.load import load_experiment
@@ -43,13 +43,15 @@ def run(
         from gbid.experiment.stages.static.stage import run_static
         from gbid.experiment.stages.tune.stage import made_designs, run_tuning
         from gbid.report.html import write_report
-        from gbid.report.impact_tables import impact_tables
-        from gbid.report.lpv_tables import lpv_documents, lpv_tables
         from gbid.report.stage import draw_figures
-        from gbid.report.static_tables import static_table
-        from gbid.report.tables import campaign_tables, fit_tables, prefilter_table
-        from gbid.report.tuning_tables import tuning_documents, tuning_tables
-        from gbid.report.validation_tables import nominal_document, nominal_table
+        from gbid.report.tables.campaign_tables import campaign_tables
+        from gbid.report.tables.fit_tables import fit_tables
+        from gbid.report.tables.impact_tables import impact_tables
+        from gbid.report.tables.lpv_tables import lpv_documents, lpv_table
+        from gbid.report.tables.recording_tables import prefilter_table
+        from gbid.report.tables.static_tables import static_table
+        from gbid.report.tables.tuning_tables import tuning_documents, tuning_tables
+        from gbid.report.tables.validation_tables import nominal_document, nominal_table
 
         loaded = load_experiment(experiment, results)
         with (
@@ -95,23 +97,17 @@ def run(
             )
         else:
             if filtered:
-                print_table(prefilter_table(filtered), "")
-            for characterised in static:
-                print_table(static_table(characterised), "")
+                print_tables(prefilter_table(filtered))
+            print_tables(*map(static_table, static))
             if len(fits) > MANY:
-                print_table(campaign_tables(campaign_document(loaded, outcomes, table)))
+                print_tables(*campaign_tables(campaign_document(loaded, outcomes, table)))
             for document in fits if len(fits) <= MANY else ():
-                print_table(fit_tables(f"{document['fit']}, {document['model']}", document))
+                print_tables(*fit_tables(f"{document['fit']}, {document['model']}", document))
             if validated:
                 print_crossval(validated, summaries)
             if central:
-                print_table(nominal_table(central), "")
-            for model in models:
-                print_table(lpv_tables(model))
-            if designs:
-                print_table(tuning_tables(designs))
-            if impacts:
-                print_table(impact_tables(impacts))
+                print_tables(nominal_table(central))
+            print_tables(*map(lpv_table, models), *tuning_tables(designs), *impact_tables(impacts))
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
             if written.state != "failed":
                 typer.echo(f"report: {written.path}")

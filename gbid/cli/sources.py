@@ -8,13 +8,13 @@ from pathlib import Path
 from gbid.campaign.run import working
 from gbid.cli.documents import recording_documents
 from gbid.cli.ending import finish, outcome_rows
-from gbid.cli.printing import print_json, print_table
+from gbid.cli.printing import print_json, print_tables
 from gbid.cli.progress import reporting
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
-from gbid.report.tables import recording_table
+from gbid.report.tables.recording_tables import recording_table
 
 
 def make_recordings(
@@ -47,5 +47,5 @@ def make_recordings(
     if as_json:
         print_json({"recordings": documents, "outcomes": outcome_rows(outcomes)})
     elif documents:
-        print_table(recording_table(documents))
+        print_tables(recording_table(documents))
     finish(outcomes)

@@ -17,13 +17,13 @@ def static(
     with guarded(as_json, debug):
         from gbid.cli.documents import static_documents
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
         from gbid.experiment.stages.static.stage import run_static
-        from gbid.report.static_tables import static_table
+        from gbid.report.tables.static_tables import static_table
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.static:
@@ -35,6 +35,5 @@ def static(
         if as_json:
             print_json({"static": documents, "outcomes": outcome_rows(outcomes)})
         else:
-            for document in documents:
-                print_table(static_table(document), "")
+            print_tables(*map(static_table, documents))
         finish(outcomes)

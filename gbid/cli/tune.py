@@ -17,13 +17,13 @@ def tune(
     """Tune controllers: the gains with the most damping within limits, beside the published ones."""
     with guarded(as_json, debug):
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_table
+        from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
         from gbid.experiment.stages.tune.stage import made_designs, run_tuning
-        from gbid.report.tuning_tables import tuning_documents, tuning_tables
+        from gbid.report.tables.tuning_tables import tuning_documents, tuning_tables
 
         loaded = load_experiment(experiment, results)
         if not loaded.spec.controller:
@@ -34,5 +34,5 @@ def tune(
         if as_json:
             print_json({"tuning": documents, "outcomes": outcome_rows(outcomes)})
         else:
-            print_table(tuning_tables(documents))
+            print_tables(*tuning_tables(documents))
         finish(outcomes)

@@ -19,7 +19,7 @@ def markdown_table(table: Table) -> str:
         *map(_line, table.texts()),
     ]
     title = [f"**{_escaped(table.title)}**"] if table.title else []
-    return "\n\n".join([*title, "\n".join(lines), *map(_escaped, table.notes)]) + "\n"
+    return "\n\n".join([*title, "\n".join(lines), *map(_escaped, filter(None, table.notes))]) + "\n"
 
 
 def _line(cells: Iterable[str]) -> str:

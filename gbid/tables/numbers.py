@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from math import floor, isfinite, log10
 
-_SHOWN = {"s": (1e3, "ms")}
+_SHOWN = {"s": (1e3, "ms"), "m": (1e6, "µm")}
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and unit in which a parameter is shown: times in milliseconds, all others as they are."""
+    """Factor and unit in which a value is shown: milliseconds for times, micrometres for lengths."""
     return _SHOWN.get(unit, (1.0, unit))
 
 

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.tables.numbers import engineering
+from gbid.tables.numbers import engineering, shown_unit
 
 Value = str | float | int | bool | None
 """What a cell holds: text, number or yes and no. None is missing, and so is a number that is nan."""
@@ -146,6 +146,28 @@ class Table:
 def value_of(entry: Entry) -> Value:
     """Value of a cell."""
     return entry.value if isinstance(entry, Cell) else entry
+
+
+def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
+    """Cell with a format of its own, for a column whose rows differ; missing where the value is.
+
+    Parameters
+    ----------
+    value : float or None
+    format : str or int
+        As of a `Column`.
+    unit : str
+        Unit of the value, shown behind it; seconds become milliseconds, metres micrometres.
+
+    Examples
+    --------
+    >>> formatted(1.25e-6, 2, "m").text, formatted(0.041, ".1f", "%").text
+    ('1.2 µm', '0.0 %')
+    """
+    if value is None or value != value:
+        return None
+    factor, shown = shown_unit(unit)
+    return Cell(factor * value, f"{Column('', format=format).show(factor * value)} {shown}".rstrip())
 
 
 def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Sequence[str] = ()) -> Table:

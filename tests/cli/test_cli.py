@@ -200,18 +200,21 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     from gbid.experiment.stages.fit.stage import run_fits
     from gbid.experiment.stages.prefilter.stage import prefilter_recordings
     from gbid.experiment.stages.rig.stage import make_rig_recordings
-    from gbid.report.tables import crossval_table, fit_tables, prefilter_table
+    from gbid.report.tables.fit_tables import fit_tables
+    from gbid.report.tables.recording_tables import prefilter_table
+    from gbid.report.tables.validation_tables import crossval_table
+    from gbid.tables.terminal import terminal_table
 
     path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))
     job = Job(load_experiment(path))
     make_rig_recordings(job)
     outcomes = [*prefilter_recordings(job), *run_fits(job)]
-    tables = [fit_tables(document["fit"], document) for document in fit_documents(job, outcomes)]
+    tables = [table for found in fit_documents(job, outcomes) for table in fit_tables(found["fit"], found)]
     tables += [prefilter_table(prefilter_documents(outcomes))]
     tables += [crossval_table("bearing", crossval_documents(run_crossval(job)[1]))]
     console = Console(width=80, highlight=False)
     for table in tables:
-        console.print(table)
+        console.print(terminal_table(table))
     out = capsys.readouterr().out
     assert "…" not in out
     assert max(len(line) for line in out.splitlines()) <= 80

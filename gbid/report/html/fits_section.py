@@ -8,7 +8,7 @@ from typing import Any
 
 from gbid.report.html.gather import Found, FoundFit, Gathered
 from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Part, Section, Table, Words, fit_href, point_words
-from gbid.report.summary import summary_lines
+from gbid.report.tables.fit_summary import summary_lines
 from gbid.tables.numbers import engineering, shown_unit
 
 _NAMED = 5

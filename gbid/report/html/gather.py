@@ -33,7 +33,8 @@ from gbid.lpv import LPVFit, LPVModel
 from gbid.prefilter.store import read_report
 from gbid.recording import Recording, find_problems, load_recording
 from gbid.report.html.traces import trace
-from gbid.report.rows import Row, fit_document, prefilter_rows
+from gbid.report.tables.fit_document import Row, fit_document
+from gbid.report.tables.recording_tables import prefilter_rows
 from gbid.validate import NominalActuator, ValidationSummary, nominal_actuator, summarise
 
 State = Literal["there", "failed", "missing", "stale"]
@@ -71,7 +72,7 @@ class FoundFit:
     fit, model, point : str
     result : FitResult
     document : dict
-        From `gbid.report.rows.fit_document`.
+        From `gbid.report.tables.fit_document.fit_document`.
     traces : tuple of dict
         From `gbid.report.html.traces.trace`, one for each of its recordings.
     no_trace : str

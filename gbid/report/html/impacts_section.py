@@ -15,7 +15,7 @@ from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Section, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
-from gbid.report.impact_tables import IMPACT_FIGURES, impact_document
+from gbid.report.tables.impact_tables import IMPACT_FIGURES, impact_document
 
 TITLE = "Impacts"
 _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))

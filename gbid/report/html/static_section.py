@@ -12,7 +12,7 @@ from gbid.report.of_results import piezo_data, static_map_data
 from gbid.report.paper.results import Results
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
 from gbid.report.static_map import plot_static_map
-from gbid.report.static_tables import static_document
+from gbid.report.tables.static_tables import static_document
 from gbid.tables.numbers import engineering
 
 _MICROMETRES = 1e6

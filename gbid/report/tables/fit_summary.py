@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gbid.report.rows import Row
+from gbid.report.tables.fit_document import Row
 from gbid.tables.numbers import probability
 
 Line = tuple[str, str]
@@ -19,7 +19,7 @@ def summary_lines(document: Row) -> Iterator[Line]:
     Parameters
     ----------
     document : dict
-        From `gbid.report.rows.fit_document`.
+        From `gbid.report.tables.fit_document.fit_document`.
 
     Yields
     ------

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
 
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run.outcome import Outcome
 from gbid.lpv import LPVFit
 from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN
-from gbid.report.rows import Row
-from gbid.report.tables import new_table
+from gbid.report.tables.fit_document import Row
 from gbid.structure import KEY_PARAMETERS
+from gbid.tables.numbers import shown_unit
+from gbid.tables.table import Column, Entry, Table
 
 _PUBLISHED = "theisen2016"
 _OUTLIERS = 10  # that are printed; all are in the document
@@ -70,41 +68,39 @@ def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
     }
 
 
-def lpv_tables(document: Row) -> Group:
-    """Deviations, orders and outliers of one fit of surfaces, one below the other.
+def lpv_table(document: Row) -> Table:
+    """Table of the deviations of one fit of surfaces, its orders and outliers below.
 
     Parameters
     ----------
     document : dict
         From `lpv_document`.
     """
-    parts: list[Table | Text] = [_deviation_table(document), Text("")]
+    with_paper = any(row["published_rms"] is not None for row in document["deviations"])
+    paper = [Column("rms,\npaper", format=".4g")] if with_paper else []
+    columns = [Column(""), Column("rms", format=".4g"), *paper, Column("largest", format=".4g")]
+    rows: list[list[Entry]] = []
+    for row in document["deviations"]:
+        factor, unit = shown_unit(row["unit"])
+        names = ("rms", *(["published_rms"] if with_paper else []), "largest")
+        rows.append([row["name"], *(factor * row[name] for name in names), unit, row["recording"]])
+    title = (
+        f"{document['item']}: {document['recordings']} recordings at {document['operating_points']} operating points, "
+        f"{document['options']['method']}, {document['status']}"
+    )
+    return Table(title, [*columns, Column("unit"), Column("recording")], rows, ["", *_notes(document)])
+
+
+def _notes(document: Row) -> Iterator[str]:
     orders = [
         f"{row['order']}: {row['score']:.3f}" if row["why_not"] == "" else f"{row['order']}: not possible"
         for row in document["orders"]
     ]
     if orders:
-        parts.append(Text(f"error at points left out, by order (order 0 = 1): {', '.join(orders)}"))
+        yield f"error at points left out, by order (order 0 = 1): {', '.join(orders)}"
     for row in document["outliers"][:_OUTLIERS]:
-        parts.append(Text(f"off the surface: {row['recording']}, {row['parameter']}, {row['standardised']:+.1f} std"))
+        yield f"off the surface: {row['recording']}, {row['parameter']}, {row['standardised']:+.1f} std"
     if len(document["outliers"]) > _OUTLIERS:
-        parts.append(Text(f"off the surface: {len(document['outliers'])} in all; these were the worst"))
-    parts += [Text(f"note: {note}") for note in document["notes"]]
-    parts += [Text(f"model: {document['path']}"), Text("")]
-    return Group(*parts)
-
-
-def _deviation_table(document: Row) -> Table:
-    with_paper = any(row["published_rms"] is not None for row in document["deviations"])
-    paper = ["rms,\npaper"] if with_paper else []
-    title = (
-        f"{document['item']}: {document['recordings']} recordings at {document['operating_points']} operating points, "
-        f"{document['options']['method']}, {document['status']}"
-    )
-    table = new_table(title, ["", "rms", *paper, "largest", "unit", "recording"], left=("", "unit", "recording"))
-    for row in document["deviations"]:
-        factor, unit = (1e3, "ms") if row["unit"] == "s" else (1.0, row["unit"])
-        cells = [f"{factor * row['rms']:.4g}"]
-        cells += [f"{factor * row['published_rms']:.4g}"] if with_paper else []
-        table.add_row(row["name"], *cells, f"{factor * row['largest']:.4g}", unit, row["recording"])
-    return table
+        yield f"off the surface: {len(document['outliers'])} in all; these were the worst"
+    yield from (f"note: {note}" for note in document["notes"])
+    yield f"model: {document['path']}"

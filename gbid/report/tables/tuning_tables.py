@@ -5,18 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Group
-from rich.table import Table
-from rich.text import Text
-
 from gbid.control.assessment.compare import COLUMNS
 from gbid.control.assessment.point_assessment import FIGURES
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
 from gbid.control.tuning.gain_result import GainResult
 from gbid.experiment.run.outcome import Outcome
 from gbid.operating_point import point_label
-from gbid.report.rows import Row
-from gbid.report.tables import new_table
+from gbid.report.tables.fit_document import Row
+from gbid.tables.table import Column, Table, formatted
 
 
 def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
@@ -40,8 +36,8 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
     ]
 
 
-def tuning_tables(documents: Sequence[Row]) -> Group:
-    """Designs side by side, those at the same points of the same plant in one table, then the gains of each.
+def tuning_tables(documents: Sequence[Row]) -> list[Table]:
+    """Tables of designs side by side, those at the same points of the same plant in one, the gains of each below.
 
     Parameters
     ----------
@@ -53,28 +49,25 @@ def tuning_tables(documents: Sequence[Row]) -> Group:
         impact = tuple(document["impact"].values())
         points = tuple(map(tuple, document["points"]))
         groups.setdefault((document["plant"], points, impact, document["sample_time_s"]), []).append(document)
-    parts: list[Table | Text] = []
+    tables = []
     for (plant, points, (peak, duration), sample_time), group in groups.items():
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         note = (
             f"disc and stack under a half-sine impact of {peak:g} N, {1e3 * duration:g} ms; "
             f"sampled at {1e3 * sample_time:g} ms with one sample for computation"
         )
-        performances = [document["performance"][0] for document in group] + group[0]["performance"][1:]
-        table = new_table(
-            f"{plant}, worst over {where}", ["", *(performance["name"] for performance in performances)], left=("",)
-        )
-        for heading, figure, factor, form in COLUMNS:
-            table.add_row(
-                heading.replace("[", "\\["), *(format(factor * w["worst"][figure]["value"], form) for w in performances)
-            )
-        parts += [table, Text(note), Text("")]
-        for document in group:
-            parts += [*_lines(document), Text("")]
-    return Group(*parts)
+        shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
+        columns = [Column(""), *(Column(performance["name"], format=4) for performance in shown)]
+        rows = [
+            [heading, *(formatted(factor * performance["worst"][figure]["value"], form) for performance in shown)]
+            for heading, figure, factor, form in COLUMNS
+        ]
+        notes = [note, *(line for document in group for line in ("", *_lines(document)))]
+        tables.append(Table(f"{plant}, worst over {where}", columns, rows, notes))
+    return tables
 
 
-def _lines(document: Row) -> list[Text]:
+def _lines(document: Row) -> list[str]:
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in document["gains"].items())
     held = f"; held back by {', '.join(document['active'])}" if document["active"] else ""
     unit = " 1/s" if document["objective"] == "decay" else ""
@@ -91,7 +84,7 @@ def _lines(document: Row) -> list[Text]:
         lines.append(f"  peak of S_o at most {row['cap']:g}: {row['objective']} {found}")
     if document["controller"]:
         lines.append(f"  controller: {document['controller']}")
-    return [Text(line) for line in lines]
+    return lines
 
 
 def _result_row(result: GainResult) -> Row:

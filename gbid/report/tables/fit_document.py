@@ -1,8 +1,8 @@
-"""Results as plain rows, in SI: the same for tables on a terminal and for programs that read JSON."""
+"""Document of a fit: plain values in SI, the same for tables and for programs that read JSON."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -10,7 +10,6 @@ import numpy as np
 
 from gbid.errors import UsageError
 from gbid.identify import FitResult
-from gbid.prefilter import PrefilterReport
 from gbid.structure import LinearModel
 
 Row = dict[str, Any]
@@ -119,25 +118,6 @@ def multi_start_row(result: FitResult) -> Row | None:
     if result.multi_start is None:
         return None
     return {**asdict(result.multi_start), "spread": _known(result.multi_start.spread)}
-
-
-def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
-    """Tell what the prefilter took out of each channel of p [m]."""
-    return [
-        {
-            "recording": report.name,
-            "channel": f"p_{channel}",
-            "rms_before": float(report.rms_before["p"][i]),
-            "rms_after": float(report.rms_after["p"][i]),
-            "offset": float(report.offsets["p"][i]),
-            "runout_share": float(report.runout_share[i]),
-            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
-            "spikes": report.spikes[i],
-            "notes": list(report.notes),
-        }
-        for report in reports
-        for i, channel in enumerate(report.channels["p"])
-    ]
 
 
 def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
-from rich import box
-from rich.table import Table
 
 from gbid.characterise import PiezoCurve, StaticMap
-from gbid.report.rows import Row
-from gbid.tables.numbers import engineering
+from gbid.report.tables.fit_document import Row
+from gbid.tables.numbers import shown_unit
+from gbid.tables.table import Column, Table, formatted
 
 
 def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
@@ -78,45 +75,41 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
 
 
 def static_table(document: Row) -> Table:
-    """Table of one characterisation, from its document."""
+    """Table of a static characterisation, from its document."""
     title = f"{document['name']}: {', '.join(document['recordings'])}"
-    caption = "; ".join(document["notes"]) or None
+    source, output = document["units"]
     if document["kind"] == "piezo":
-        table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, title_justify="left")
-        table.add_column(document["channel"])
-        table.add_column("value", justify="right")
-        unit, factor = _shown(document["units"][1])
-        for word, key, scale, ending in (
-            ("hysteresis", "hysteresis", factor, unit),
-            ("  its standard error", "hysteresis_std", factor, unit),
-            ("  over the range", "hysteresis_share", 100.0, "%"),
-            ("creep per step", "creep", 100.0, "%"),
-            ("gain per step", "step_gain", 1.0, f"{document['units'][1]}/{document['units'][0]}"),
-            ("non-uniformity of the steps", "uniformity", 100.0, "%"),
-        ):
-            table.add_row(word, f"{_cell(document[key], scale)} {ending}")
-        return table
-    unit, factor = _shown(document["units"][1])
-    table = Table(title=title, caption=caption, box=box.SIMPLE_HEAD, title_justify="left")
-    for column in (
-        *("static gain", "value", "std"),
-        *(f"{word}\n\\[{unit}]" for word in ("rms off\nlinear", "largest", "hysteresis", "its std")),
-    ):
-        table.add_column(column, justify="left" if column == "static gain" else "right")
-    for row in document["gains"]:
-        lengths = [_cell(row[key], factor) for key in ("rms", "largest", "hysteresis", "hysteresis_std")]
-        table.add_row(
-            f"{row['input']} to {row['output']}", engineering(row["gain"], 5), engineering(row["std"], 2), *lengths
-        )
-    return table
+        columns = [Column(document["channel"]), Column("value", format=3)]
+        rows = [
+            [word, formatted(_times(factor, document[key]), 3, unit)]
+            for word, key, factor, unit in (
+                ("hysteresis", "hysteresis", 1.0, output),
+                ("  its standard error", "hysteresis_std", 1.0, output),
+                ("  over the range", "hysteresis_share", 100.0, "%"),
+                ("creep per step", "creep", 100.0, "%"),
+                ("gain per step", "step_gain", 1.0, f"{output}/{source}"),
+                ("non-uniformity of the steps", "uniformity", 100.0, "%"),
+            )
+        ]
+        return Table(title, columns, rows, document["notes"])
+    factor, unit = shown_unit(output)
+    names = {
+        "rms": "rms off\nlinear\n",
+        "largest": "largest\n",
+        "hysteresis": "hysteresis\n",
+        "hysteresis_std": "its std\n",
+    }
+    columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
+    columns += [Column(name, unit, 3) for name in names.values()]
+    gains = [
+        [f"{row['input']} to {row['output']}", row["gain"], row["std"], *(_times(factor, row[key]) for key in names)]
+        for row in document["gains"]
+    ]
+    return Table(title, columns, gains, document["notes"])
 
 
-def _shown(unit: str) -> tuple[str, float]:
-    return ("um", 1e6) if unit == "m" else (unit, 1.0)
-
-
-def _cell(value: Any, factor: float) -> str:
-    return "-" if value is None else engineering(factor * value, 3)
+def _times(factor: float, value: float | None) -> float | None:
+    return None if value is None else factor * value
 
 
 def _known(value: float) -> float | None:

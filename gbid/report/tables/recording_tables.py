@@ -1,0 +1,63 @@
+"""Tables of recordings, and of what the prefilter took out of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from gbid.prefilter import PrefilterReport
+from gbid.report.tables.fit_document import Row
+from gbid.tables.table import Column, Table
+
+
+def recording_table(rows: Sequence[Row]) -> Table:
+    """Table of recordings with their length and operating point."""
+    columns = [
+        Column("recording"),
+        Column("samples", format="d"),
+        Column("duration", "s", "g"),
+        Column("conditions"),
+        Column("state"),
+    ]
+    laid = []
+    for row in rows:
+        conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
+        laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
+    return Table("recordings", columns, laid)
+
+
+def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
+    """Plain values of what the prefilter took out of each channel of p [m]."""
+    return [
+        {
+            "recording": report.name,
+            "channel": f"p_{channel}",
+            "rms_before": float(report.rms_before["p"][i]),
+            "rms_after": float(report.rms_after["p"][i]),
+            "offset": float(report.offsets["p"][i]),
+            "runout_share": float(report.runout_share[i]),
+            "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
+            "spikes": report.spikes[i],
+            "notes": list(report.notes),
+        }
+        for report in reports
+        for i, channel in enumerate(report.channels["p"])
+    ]
+
+
+def prefilter_table(rows: Sequence[Row]) -> Table:
+    """Table of what the prefilter took out, from `prefilter_rows`."""
+    columns = [
+        Column("recording"),
+        Column(""),
+        Column("rms before\n", "µm", ".3f"),
+        Column("after\n", "µm", ".3f"),
+        Column("run-out\nshare", format=".1%"),
+        Column("harmonics\n1, 2, 3", "µm"),
+        Column("spikes", format="d"),
+    ]
+    laid = []
+    for row in rows:
+        harmonics = " ".join(f"{1e6 * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
+        sizes = (1e6 * row["rms_before"], 1e6 * row["rms_after"])
+        laid.append([row["recording"], row["channel"], *sizes, row["runout_share"], harmonics, row["spikes"]])
+    return Table("prefilter", columns, laid)
