@@ -14,7 +14,7 @@ from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.reporter import Reporter
 
 if TYPE_CHECKING:
-    from gbid.control.tuning.gain_result import SearchStep
+    from gbid.control.tuning.search.step import SearchStep
     from gbid.identify import Progress
 
 EVERY = 10

@@ -37,9 +37,10 @@ from gbid.control.loop.norm import Peak, peak_gain
 from gbid.control.loop.sampled import SampledLoop, exact_plant, sampled_loop
 from gbid.control.loop.sampling import sample_controller, sample_plant
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
-from gbid.control.tuning.gain_result import GainResult, SearchStep, WorstMode
+from gbid.control.tuning.gain_result import GainResult, WorstMode
 from gbid.control.tuning.maximise import maximise_damping
 from gbid.control.tuning.pareto import ParetoFront, pareto
+from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.tune import tune
 from gbid.control.tuning.uncertainty import Uncertainty
 

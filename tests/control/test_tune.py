@@ -243,7 +243,7 @@ def test_adding_loops_as_they_turn_out_worse_ends_where_all_at_once_do(
     monkeypatch: pytest.MonkeyPatch, cap: float | None
 ) -> None:
     whole = gbid.tune(MODEL, peak_sensitivity=cap)
-    monkeypatch.setattr("gbid.control.tuning.tune._MANY", 5)
+    monkeypatch.setattr("gbid.control.tuning.over_points._MANY", 5)
     added = gbid.tune(MODEL, peak_sensitivity=cap)
     assert added.value == pytest.approx(whole.value, abs=1e-7)
     assert added.verified_on == whole.verified_on

@@ -14,7 +14,8 @@ from gbid.arrays import FloatArray
 from gbid.control.assessment.assess import Assessment
 from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tuning.gain_result import GainResult, SearchStep, WorstMode
+from gbid.control.tuning.gain_result import GainResult, WorstMode
+from gbid.control.tuning.search.step import SearchStep
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
 
 KIND = "tuning"

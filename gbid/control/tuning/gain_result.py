@@ -4,35 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
 from types import MappingProxyType
-from typing import Any, Literal
+from typing import Any
 
 from gbid.brief import brief
+from gbid.control.tuning.search.step import SearchStep
 
-Status = Literal["optimal", "iteration limit", "limits contradict", "no stabilising gains"]
 
+class GainStatus(StrEnum):
+    """Why a search for gains ended."""
 
-@dataclass(frozen=True)
-class SearchStep:
-    """One entry of a search's history.
-
-    Attributes
-    ----------
-    stage : str
-        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak that the grid had missed) or
-        ``"points"`` (worst points added).
-    count : int
-        Designs evaluated so far.
-    value : float
-        Best aim so far, damping factor or decay rate [1/s].
-    violation : float
-        By how much its worst limit is exceeded, relative; 0 when all are kept.
-    """
-
-    stage: str
-    count: int
-    value: float
-    violation: float
+    OPTIMAL = "optimal"
+    """No step improved any more, and all limits hold."""
+    ITERATION_LIMIT = "iteration limit"
+    LIMITS_CONTRADICT = "limits contradict"
+    """Stable, but no design keeps all limits."""
+    NO_STABILISING_GAINS = "no stabilising gains"
+    """No gains within the bounds stabilise all loops."""
 
 
 @dataclass(frozen=True)
@@ -65,12 +54,11 @@ class GainResult:
         Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; from plain
         eigenvalues of the final matrices.
     objective : {"damping", "decay"}
-    status : str
-        ``"optimal"``: no step improved any more and all limits hold; ``"iteration limit"``;
-        ``"limits contradict"``: stable, but no design keeps all limits; ``"no stabilising gains"`` within the bounds.
-        With the last two, the gains are those of the least violation found.
+    status : GainStatus
+        Why the search ended. Where limits contradict or no gains stabilise, the gains are those of the least violation
+        found.
     success : bool
-        Whether the status is ``"optimal"``.
+        Whether the status is ``OPTIMAL``.
     violation : float
         By how much the worst limit is exceeded, relative; 0 when all are kept.
     verified_on : str
@@ -94,7 +82,7 @@ class GainResult:
     gains: Mapping[str, float]
     value: float
     objective: str
-    status: Status
+    status: GainStatus
     success: bool
     violation: float
     verified_on: str

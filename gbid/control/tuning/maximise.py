@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.gain_result import GainResult, SearchStep, Status
+from gbid.control.tuning.gain_result import GainResult, GainStatus
 from gbid.control.tuning.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
 from gbid.control.tuning.search.limits import Limits, Objective
 from gbid.control.tuning.search.loop_family import families_of
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
 
@@ -155,12 +156,12 @@ def summarise(
     x = np.clip(found.x, problem.lower, problem.upper)
     score, stable = problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
-    status: Status = "optimal" if found.converged else "iteration limit"
+    status = GainStatus.OPTIMAL if found.converged else GainStatus.ITERATION_LIMIT
     if not stable:
-        status = "no stabilising gains"
+        status = GainStatus.NO_STABILISING_GAINS
         notes = (*notes, f"no gains within the bounds were found that stabilise {worst.where}: " + _mode(worst))
     elif score.violation > FEASIBLE:
-        status = "limits contradict"
+        status = GainStatus.LIMITS_CONTRADICT
         notes = (*notes, f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}")
     more = {**_peaks(problem, x, stable), **more}
     return GainResult(
@@ -168,7 +169,7 @@ def summarise(
         problem.in_units(score.value),
         problem.limits.objective,
         status,
-        status == "optimal",
+        status is GainStatus.OPTIMAL,
         score.violation,
         verified_on,
         worst,

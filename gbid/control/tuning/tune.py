@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -12,12 +12,14 @@ from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tuning.gain_result import GainResult, SearchStep
-from gbid.control.tuning.maximise import as_bounds, as_start, solve, summarise, typical_rate
+from gbid.control.tuning.gain_result import GainResult
+from gbid.control.tuning.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.maximise import as_bounds, as_start, summarise, typical_rate
+from gbid.control.tuning.over_points import solve_over_points
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.limits import Limits, Objective
 from gbid.control.tuning.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
-from gbid.control.tuning.search.loop_family import LoopEquations, LoopFamily, loop_equations
+from gbid.control.tuning.search.loop_family import loop_equations
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.travel import travel_limit
@@ -31,7 +33,6 @@ from gbid.poles import is_real
 from gbid.structure.linear import Structure
 
 Point = tuple[float, float]
-_FEW, _MANY = 5, 30
 
 
 def tune(
@@ -138,10 +139,10 @@ def tune(
     if delay_s:
         lpv = replace(lpv, pade_order=PADE_ORDER)
     equations = loop_equations(lpv, structure, None if actuator is None else dict(actuator), delay_s=delay_s)
-    setup = _Setup(lpv, structure, equations, points, uncertainty)
+    plants = LoopsAtPoints(structure, equations, points, uncertainty)
     low, high, start_gains = _gain_bounds(structure, bounds)
     names = tuple(parameter.name for parameter in equations.gains)
-    family = setup.family(points)
+    family = plants.family(points)
     open_loop = [_slowest_mode(lpv.at(float(P), float(Omega)).poles()) for P, Omega in points]
     if slowest_pole is None:
         slowest_pole = 0.0 if peak_sensitivity is None else max(min(open_loop), 0.0)
@@ -151,7 +152,7 @@ def tune(
         plant = model.plant_at(float(points[0, 0]), float(points[0, 1]))
         limits = replace(limits, extra=(travel_limit(plant, impact, piezo_travel_m),))
     problem = GainProblem((family,), limits, low, high, typical_rate((family,), start_gains))
-    problem.linear = setup.gain_limits(points)
+    problem.linear = plants.gain_limits(points)
     unknown = [name for name in start or {} if name not in names]
     if unknown:
         raise UsageError(f"start: no gain {', '.join(unknown)}; there are {', '.join(names)}")
@@ -162,10 +163,10 @@ def tune(
         first.append(
             _constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed), delay_s)
         )
-    optimum, history = _solve(problem, setup, points, start_gains, Effort(starts, seed), first, progress)
+    optimum, history = solve_over_points(problem, plants, points, start_gains, Effort(starts, seed), first, progress)
     verified = f"eigenvalues and exact H-infinity norms of {len(family)} loops"
     if over_domain:
-        optimum, problem, more, verified = add_worst_points(problem, optimum, setup, lpv.domain, progress)
+        optimum, problem, more, verified = add_worst_points(problem, optimum, plants, lpv.domain, progress)
         history += more
     unstable = [point_label(P, Omega) for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
     notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
@@ -192,92 +193,6 @@ def tune(
         controller=structure,
         sample_time=sample_time,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Setup:
-    """Makes loops at any operating points, with all plants that they may have there."""
-
-    lpv: LPVModel
-    structure: Structure | Scheduled
-    equations: LoopEquations
-    points: FloatArray
-    uncertainty: Uncertainty | None
-
-    def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at points, or some of them."""
-        scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
-        labels = [
-            point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
-            for i, (P, Omega) in enumerate(scenarios[:, :2])
-        ]
-        chosen = range(len(scenarios)) if which is None else which
-        return self.equations.family(scenarios[list(chosen)], [labels[i] for i in chosen])
-
-    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
-        """Bounds of scheduled gains at the points, in units of their width, as rows over the coefficients."""
-        if not isinstance(self.structure, Scheduled):
-            return ()
-        names = [parameter.name for parameter in self.structure.parameters]
-        units = np.eye(len(names))
-        rows = []
-        for P, Omega in dict.fromkeys(map(tuple, points)):
-            columns = [self.structure.gains(dict(zip(names, unit, strict=True)), P, Omega) for unit in units]
-            for gain in self.structure.base.parameters:
-                row = np.array([float(column[gain.name]) for column in columns])
-                width = gain.upper - gain.lower
-                where = f"{gain.name} at {point_label(P, Omega)}"
-                rows.append((f"upper bound of {where}", row / width, gain.upper / width))
-                rows.append((f"lower bound of {where}", -row / width, -gain.lower / width))
-        return tuple(rows)
-
-
-def _solve(
-    problem: GainProblem,
-    setup: _Setup,
-    points: FloatArray,
-    neutral: FloatArray,
-    effort: Effort,
-    first: list[FloatArray],
-    progress: Progress | None,
-) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Search over all loops; of many first over those that matter, adding those that turn out worse.
-
-    A design that is best for some of the loops and no worse in the others is best for all. With few gains every
-    round searches globally, so that this holds of the result as well; with many it climbs on from the last.
-    """
-    whole = problem.families
-    few_gains = len(neutral) <= 3
-    if len(whole[0]) <= (_MANY if few_gains else _FEW):
-        return solve(problem, neutral, effort, first, progress)
-    chosen = _corners(points)
-    problem.families = (setup.family(points, chosen),)
-    found, history = solve(problem, neutral, effort, first, progress)
-    while True:
-        measures = problem.by_loop(whole[0], found.x)
-        measures[0] += found.score.value
-        measures[1:] -= found.score.violation
-        worst = {int(row.argmax()) for row in measures if row.max() > 1e-7} - set(chosen)
-        if not worst:
-            break
-        chosen += sorted(worst)
-        problem.families, problem.cuts = (setup.family(points, chosen),), []
-        if few_gains:
-            found, more = solve(problem, neutral, effort, [found.x, *first], progress)
-        else:
-            found, more = solve(problem, neutral, effort, found=found, progress=progress)
-        history += more
-    problem.families, problem.cuts = whole, []
-    found, more = solve(problem, neutral, effort, found=found, progress=progress)
-    return found, history + more
-
-
-def _corners(points: FloatArray) -> list[int]:
-    """Return indices of the points nearest to the corners of the rectangle that they span."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    unit = (points - low) / np.where(high > low, high - low, 1.0)
-    corners = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in corners))
 
 
 def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:
@@ -333,10 +248,10 @@ def _constant_gains(
     """Best constant gains as coefficients: where a schedule starts, so that it is never worse."""
     equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator), delay_s=delay_s)
     low, high, start = _gain_bounds(structure.base, None)
-    setup = _Setup(lpv, structure.base, equations, points, uncertainty)
-    family = setup.family(points)
+    plants = LoopsAtPoints(structure.base, equations, points, uncertainty)
+    family = plants.family(points)
     problem = GainProblem((family,), limits, low, high, typical_rate((family,), start))
-    best, _ = _solve(problem, setup, points, start, effort, [], None)
+    best, _ = solve_over_points(problem, plants, points, start, effort, [], None)
     values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
     return np.array(
         [values.get(p.name.removesuffix("_1"), 0.0) if p.name.endswith("_1") else 0.0 for p in structure.parameters]

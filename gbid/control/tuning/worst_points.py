@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.gain_result import SearchStep
+from gbid.control.tuning.loops_at_points import LoopsAtPoints
 from gbid.control.tuning.maximise import solve
 from gbid.control.tuning.search.global_search import Effort, Progress
-from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
+from gbid.control.tuning.search.step import SearchStep
 from gbid.lpv import Domain
 
 TOLERANCE = 5e-5
@@ -20,15 +18,8 @@ _GRID = 33
 _MOST_ROUNDS = 20
 
 
-class Setup(Protocol):
-    """Makes loops and limits of gains at any operating points."""
-
-    def family(self, points: FloatArray) -> LoopFamily: ...  # noqa: D102
-    def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]: ...  # noqa: D102
-
-
 def add_worst_points(
-    problem: GainProblem, found: LocalOptimum, setup: Setup, domain: Domain, progress: Progress | None
+    problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain, progress: Progress | None
 ) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
     """Exchange: look for points worse than those designed for, add them, climb on.
 
@@ -38,7 +29,7 @@ def add_worst_points(
         Over the first points.
     found : LocalOptimum
         Its optimum.
-    setup : Setup
+    plants : LoopsAtPoints
     domain : Domain
     progress : callable, optional
 
@@ -56,12 +47,12 @@ def add_worst_points(
     points = np.unique(points, axis=0)
     history: list[SearchStep] = []
     for _ in range(_MOST_ROUNDS):
-        worse = _worse_points(problem, found, setup, domain)
+        worse = _worse_points(problem, found, plants, domain)
         if not len(worse):
             break
         points = np.vstack([points, worse])
-        problem.families = (setup.family(points),)
-        problem.linear = setup.gain_limits(points)
+        problem.families = (plants.family(points),)
+        problem.linear = plants.gain_limits(points)
         problem.cuts.clear()
         evaluated = problem.evaluations
         found, _ = solve(problem, found.x, Effort(), found=found)
@@ -79,12 +70,12 @@ def add_worst_points(
     return found, problem, tuple(history), text
 
 
-def _worse_points(problem: GainProblem, found: LocalOptimum, setup: Setup, domain: Domain) -> FloatArray:
+def _worse_points(problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain) -> FloatArray:
     """Points that are worse than the design is at its own, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
-    tables = measure(problem, found.x, setup, grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
+    tables = measure(problem, found.x, plants, grid.reshape(-1, 2)).reshape(-1, *grid.shape[:2])
     worse: list[FloatArray] = []
     for which, table in enumerate(tables):
         allowed = -found.score.value if which == 0 else max(found.score.violation, 0.0)
@@ -94,23 +85,29 @@ def _worse_points(problem: GainProblem, found: LocalOptimum, setup: Setup, domai
             top &= table >= padded[a : a + table.shape[0], b : b + table.shape[1]]
         places = sorted(zip(*np.nonzero(top), strict=True), key=lambda place: -table[place])[:4]
         for place in places:
-            point, value = _zoom(problem, found.x, setup, grid[place], step, domain, which)
+            point, value = _zoom(problem, found.x, plants, grid[place], step, domain, which)
             if value > allowed + TOLERANCE:
                 worse.append(point)
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
 
 
-def measure(problem: GainProblem, x: FloatArray, setup: Setup, points: FloatArray) -> FloatArray:
+def measure(problem: GainProblem, x: FloatArray, plants: LoopsAtPoints, points: FloatArray) -> FloatArray:
     """How bad a design is at each point, over all plants there: aim with a minus, then each limit (n, m)."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):
-        values = problem.by_loop(setup.family(block), x)
+        values = problem.by_loop(plants.family(block), x)
         parts.append(values.reshape(len(values), -1, len(block)).max(axis=1))
     return np.concatenate(parts, axis=1)
 
 
 def _zoom(
-    problem: GainProblem, x: FloatArray, setup: Setup, point: FloatArray, step: FloatArray, domain: Domain, which: int
+    problem: GainProblem,
+    x: FloatArray,
+    plants: LoopsAtPoints,
+    point: FloatArray,
+    step: FloatArray,
+    domain: Domain,
+    which: int,
 ) -> tuple[FloatArray, float]:
     """Largest value of one measure near a point, by grids that shrink around the best."""
     low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])
@@ -119,7 +116,7 @@ def _zoom(
     value = -np.inf
     for _ in range(5):
         points = np.clip(point + offsets * step, low, high)
-        values = measure(problem, x, setup, points)[which]
+        values = measure(problem, x, plants, points)[which]
         if values.max() > value:
             point, value = points[values.argmax()], float(values.max())
         step = step / 3

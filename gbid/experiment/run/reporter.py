@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from gbid.control.tuning.gain_result import SearchStep
+from gbid.control.tuning.search.step import SearchStep
 from gbid.experiment.run.outcome import Outcome
 from gbid.identify import Progress
 

@@ -23,7 +23,7 @@ from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of,
 from gbid.control.impact.ringdown.basis import RingData, Scale, harmonics_for, ring_data
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.control.impact.ringdown.lags import fit_lags
-from gbid.control.impact.ringdown.ringdown_result import NO_OSCILLATIONS, RingDown, two_modes
+from gbid.control.impact.ringdown.ringdown_result import RingDown, RingDownStatus, two_modes
 from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import start_candidates
 from gbid.errors import DataError, UsageError
@@ -172,15 +172,16 @@ def _result(
     K, D = -theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate
     modes = two_modes(theta, scale)
     spread = np.full((4, 4), np.nan)
-    success, status = solved.converged, "converged" if solved.converged else f"not converged: {solved.status}"
+    status = RingDownStatus.CONVERGED if solved.converged else RingDownStatus.NOT_CONVERGED
     if np.isnan(modes).any():
-        success, status = False, NO_OSCILLATIONS
+        status = RingDownStatus.NO_OSCILLATIONS
     else:
         steps = 1e-6 * np.eye(len(theta))
         slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
         spread = slope @ covariance @ slope.T
     std = np.sqrt(np.diag(spread))
-    notes: tuple[str, ...] = ()
+    success = status is RingDownStatus.CONVERGED
+    notes: tuple[str, ...] = () if solved.converged else (f"the solver stopped: {solved.message}",)
     doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
     if doubles:
         notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 from scipy.stats import norm
@@ -13,8 +14,14 @@ from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import UsageError
 from gbid.poles import oscillatory_modes
 
-NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
-"""Status of a fit to a response that is damped so much that it does not oscillate."""
+
+class RingDownStatus(StrEnum):
+    """Why a fit to ring-downs ended."""
+
+    CONVERGED = "converged"
+    NOT_CONVERGED = "not converged"
+    NO_OSCILLATIONS = "no two oscillations: at least one pair of poles is real"
+    """The response is damped so much that it does not oscillate."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +47,7 @@ class RingDown:
     harmonics : int
         Harmonics of the shaft angle that were estimated along.
     success : bool
-    status : str
+    status : RingDownStatus
     notes : tuple of str
         What to know of it.
     """
@@ -58,7 +65,7 @@ class RingDown:
     recordings: tuple[str, ...]
     harmonics: int
     success: bool
-    status: str
+    status: RingDownStatus
     notes: tuple[str, ...] = ()
 
     def modes(self) -> list[tuple[float, float]]:
@@ -68,7 +75,7 @@ class RingDown:
     @property
     def aperiodic(self) -> bool:
         """Whether the response is damped so much that there are no two oscillations in it; then nothing converges."""
-        return self.status == NO_OSCILLATIONS
+        return self.status == RingDownStatus.NO_OSCILLATIONS
 
     def interval(self, level: float = 0.95) -> FloatArray:
         """Confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.

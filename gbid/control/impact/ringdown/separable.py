@@ -50,13 +50,14 @@ class SeparableFit:
     theta : (n_parameters,) array
     at : Projected
     converged : bool
-    status : str
+    message : str
+        Why the solver stopped, in its own words.
     """
 
     theta: FloatArray
     at: Projected
     converged: bool
-    status: str
+    message: str
 
 
 @dataclass(frozen=True, eq=False)

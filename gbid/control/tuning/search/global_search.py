@@ -9,9 +9,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.gain_result import SearchStep
 from gbid.control.tuning.search.problem import GainProblem, Score
 from gbid.control.tuning.search.sqp import LocalOptimum, merit, optimise_locally
+from gbid.control.tuning.search.step import SearchStep
 
 Progress = Callable[[SearchStep], None]
 PENALTY = 10.0
