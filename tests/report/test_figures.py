@@ -131,7 +131,9 @@ def residual_test():
         -np.eye(1), np.zeros((1, 2)), np.zeros((2, 1)), np.zeros((2, 2)), input_names=("u_x", "u_y"),
         output_names=("p_x", "p_y"),
     )  # fmt: skip
-    options = {"inputs": "u", "outputs": "p", "intersample": "zoh", "focus": "simulation"}
+    options = SimpleNamespace(
+        inputs=("u",), outputs=("p",), intersample=("zoh", "zoh"), focus="simulation", offsets=False
+    )
     result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=())
     recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")
     return gbid.check_residuals(result, recording, lags=20), u, y
