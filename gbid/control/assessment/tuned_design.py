@@ -14,7 +14,7 @@ from gbid.arrays import FloatArray
 from gbid.control.assessment.assess import Assessment
 from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.control.impact.half_sine import HalfSine
-from gbid.control.tuning.gain_result import GainResult, WorstMode
+from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.control.tuning.search.step import SearchStep
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
 
@@ -153,7 +153,8 @@ def load_tuned(path: str | Path) -> TunedDesign:
 
 
 def _write_result(group: h5py.Group, result: GainResult) -> None:
-    group.attrs.update({name: getattr(result, name) for name in (*_TEXTS, *_NUMBERS, "success")})
+    group.attrs.update({name: str(getattr(result, name)) for name in _TEXTS})
+    group.attrs.update({name: getattr(result, name) for name in (*_NUMBERS, "success")})
     group.attrs.update({name: getattr(result, name) for name in _WHERE_KNOWN if getattr(result, name) is not None})
     for name in _LISTS:
         _write_texts(group, name, getattr(result, name))
@@ -169,6 +170,7 @@ def _write_result(group: h5py.Group, result: GainResult) -> None:
 
 def _read_result(group: h5py.Group) -> GainResult:
     found: dict[str, Any] = {name: str(read_attribute(group, name)) for name in _TEXTS}
+    found["status"] = GainStatus(found["status"])
     found |= {name: float(read_attribute(group, name)) for name in _NUMBERS}
     found |= {name: float(group.attrs[name]) for name in _WHERE_KNOWN if name in group.attrs}
     found |= {name: _read_texts(group, name) for name in _LISTS}

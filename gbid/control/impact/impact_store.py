@@ -166,7 +166,7 @@ def _write(group: h5py.Group, value: Any, table: dict[str, tuple[str, str]], *, 
         if isinstance(entry, tuple):
             group.attrs.create(item.name, list(entry), dtype=h5py.string_dtype(), shape=(len(entry),))
         else:
-            group.attrs[item.name] = entry
+            group.attrs[item.name] = str(entry) if isinstance(entry, str) else entry
 
 
 def _read(group: h5py.Group, kind: type, table: dict[str, tuple[str, str]]) -> dict[str, Any]:
