@@ -1,4 +1,4 @@
-"""Up and down branches of a staircase, and how far apart they lie."""
+"""Up and down branches of a staircase, and the difference between them."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 
-_WIDEST = 2.5  # usual steps between neighbours
+_WIDEST = 2.5  # largest distance of neighbours, in median steps
 
 
 def monotone_runs(level: FloatArray) -> list[tuple[int, list[int]]]:
-    """Split a course of levels where it turns back.
+    """Return the runs of rising or falling levels in a sequence.
 
     Parameters
     ----------
     level : (n,) array
-        Levels in time order.
+        Levels in the order of time.
 
     Returns
     -------
     list of (direction, indices)
-        Direction +1 or -1; a turning point belongs to the run before and to the one after it.
+        Direction is +1 or -1. A turning point belongs to the run before it and to the run after it.
     """
     runs: list[tuple[int, list[int]]] = []
     for i in range(1, len(level)):
@@ -35,16 +35,16 @@ def monotone_runs(level: FloatArray) -> list[tuple[int, list[int]]]:
 
 
 def branch_difference(at: FloatArray, value: FloatArray, error: FloatArray) -> tuple[float, float, float]:
-    """Largest difference between an up and a down branch at the same input.
+    """Return the largest difference between an up branch and a down branch at the same input.
 
-    Each point of one branch is compared with the straight line between its neighbours of the other, where they overlap
-    and the neighbours are no farther apart than 2.5 usual steps: a straight line across a wide gap would show
-    curvature as hysteresis.
+    Each point of one branch is compared with the straight line between its neighbours on the other branch, where the
+    branches overlap. The neighbours must not be farther apart than 2.5 median steps: across a wider gap, curvature
+    would look like hysteresis.
 
     Parameters
     ----------
     at : (n,) array
-        Input, in time order.
+        Input, in the order of time.
     value : (n,) array
         Output.
     error : (n,) array
@@ -53,9 +53,9 @@ def branch_difference(at: FloatArray, value: FloatArray, error: FloatArray) -> t
     Returns
     -------
     difference : float
-        Without sign; NaN when there is no pair of branches.
+        Absolute difference; NaN when there is no pair of branches.
     std_error : float
-        Standard error of it.
+        Its standard error.
     place : float
         Input at which it occurs.
     """
@@ -68,9 +68,9 @@ def branch_difference(at: FloatArray, value: FloatArray, error: FloatArray) -> t
             if one_way == other_way:
                 continue
             for here, there in ((one, other), (other, one)):
-                for found in _differences(here, there, at, value, error, widest):
-                    if not found[0] <= best[0]:
-                        best = found
+                for candidate in _differences(here, there, at, value, error, widest):
+                    if not candidate[0] <= best[0]:
+                        best = candidate
     return best
 
 
@@ -79,7 +79,7 @@ def _differences(
 ) -> list[tuple[float, float, float]]:
     order = sorted(there, key=lambda j: float(at[j]))
     nodes = at[order]
-    found = []
+    differences = []
     for k in here:
         if k in there or not nodes[0] <= at[k] <= nodes[-1]:
             continue
@@ -90,5 +90,5 @@ def _differences(
         share = (at[k] - at[a]) / (at[b] - at[a])
         line = (1 - share) * value[a] + share * value[b]
         std = np.sqrt(error[k] ** 2 + ((1 - share) * error[a]) ** 2 + (share * error[b]) ** 2)
-        found.append((abs(float(value[k] - line)), float(std), float(at[k])))
-    return found
+        differences.append((abs(float(value[k] - line)), float(std), float(at[k])))
+    return differences

@@ -13,7 +13,7 @@ from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, ste
 from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
 
-_SMALL_STEP = 0.6  # of the median step gain: less of it on the way to the end of the travel is saturation
+_SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
 _NEAR_LIMIT = 0.01  # of the range
 
 
@@ -24,16 +24,16 @@ class PiezoCurve:
     Attributes
     ----------
     command, position, position_std : (n_plateaus,) array
-        Level of the command, steady mean of the position and its standard error.
+        Level of the command, steady mean of the position and its standard error, in `units`.
     time : (n_plateaus,) array
-        When each plateau begins [s].
+        Start of each plateau [s].
     direction : (n_plateaus,) array
-        1 when the last step led up, -1 down, 0 before the first.
+        1 when the last step was up, -1 when it was down, 0 before the first step.
     hysteresis, hysteresis_std, hysteresis_at : float
         Largest difference of position between up and down branch at the same command, its standard error, and the
         command at which it occurs (Fig. A.28).
     hysteresis_share : float
-        The same over the range of positions.
+        Hysteresis over the range of positions.
     step : (n_steps,) array
         Commanded steps.
     step_gain : (n_steps,) array
@@ -42,19 +42,19 @@ class PiezoCurve:
         Change of the position from shortly after the step to the end of the plateau, over the change of position by
         the step; 0.03 is a creep of 3 %.
     saturated : (n_steps,) array of bool
-        Steps that lead to or from a position at the end of the travel.
+        Steps to or from a position at the end of the travel.
     uniformity : float
         Standard deviation over mean of the step gains, without saturated steps; 0 for uniform steps.
     response_time : (n_samples,) array
         Time since the step [s].
     responses : (n_samples, n_steps) array
-        Position since each step less the position before it (Fig. A.29 a), in the shortest length common to all.
+        Position since each step minus the position before it (Fig. A.29 a), over the shortest plateau.
     name, channel : str
-        Recording, and channel of the position.
+        Name of the recording, and channel of the position.
     units : tuple of str
         Units of command and position.
     notes : tuple of str
-        What was found, by name.
+        Remarks about saturation and missing branches.
     """
 
     command: FloatArray
@@ -104,26 +104,28 @@ def characterise_piezo(
     settle_s: float = 0.02,
     limits: tuple[float, float] | None = None,
 ) -> PiezoCurve:
-    """Characterise a piezo stack or pair from a staircase up and down.
+    """Return hysteresis, creep and step responses of a piezo stack or pair, from a staircase up and down.
 
     Parameters
     ----------
     recording : Recording
-        With the command (voltage or reference) and the position. A staircase of one channel; others may rest.
+        Recording with the command (voltage or reference) and the position. One channel has a staircase; others may
+        rest.
     command, position : str
         Names of these signals.
     channel : str, optional
-        Channel of the position; by default the one of the command that moves.
+        Channel of the position; by default the channel of the command that moves.
     command_channel : str, optional
         Channel of the command; by default that of the position.
     keep : float
         Share of each plateau, from its end, that counts as stationary.
     settle_s : float
-        Time after a step at which its fast part is over and creep begins to count [s]; the slowest pole of the
-        paper's actuators (Table 2) has decayed by e^-49 in 20 ms.
+        Time after a step at which the fast response is over and creep starts to count [s]. The slowest pole of the
+        actuators in the paper (Table 2) has decayed by e^-49 after 20 ms.
     limits : (float, float), optional
-        Ends of the travel, in the unit of the position. Positions within 1 % of them are saturated. Without them,
-        steps towards an end of the recorded travel that are less than 0.6 of the usual size are.
+        Ends of the travel, in the unit of the position. Positions within 1 % of the range of them are saturated.
+        Without `limits`, a step towards an end of the recorded travel is saturated when it is smaller than 0.6 of the
+        median step.
 
     Returns
     -------
@@ -132,9 +134,9 @@ def characterise_piezo(
     Raises
     ------
     UsageError
-        For wrong arguments.
+        When an argument is wrong.
     DataError
-        When signals or channels are missing, the command does not step, or plateaus are too short.
+        When signals or channels are missing, when the command has no steps, or when plateaus are too short.
     """
     channel, command_channel = _channels(recording, command, position, channel, command_channel)
     x = recording.signal(command)[:, [recording.channels[command].index(command_channel)]]
@@ -145,7 +147,7 @@ def characterise_piezo(
     level, at = plateaus.level[:, 0], steady.mean[:, 0]
     if np.ptp(at) == 0:
         raise DataError(
-            f"recording {recording.name!r}: {position}_{channel} does not answer {command}_{command_channel}"
+            f"recording {recording.name!r}: {position}_{channel} does not respond to {command}_{command_channel}"
         )
     hysteresis, std, place = branch_difference(level, at, steady.std_error[:, 0])
     step = np.diff(level)
@@ -157,7 +159,7 @@ def characterise_piezo(
         where = ", ".join(f"{i + 1}" for i in np.flatnonzero(saturated))
         notes.append(f"saturated: step {where} of {len(step)} (position {at.min():.4g} to {at.max():.4g})")
     if np.isnan(hysteresis):
-        notes.append("the staircase goes one way only: nothing is known of hysteresis")
+        notes.append("the staircase goes in one direction only, so the hysteresis is not known")
     time, responses = _responses(y, plateaus, recording.sample_time)
     return PiezoCurve(
         command=level,
@@ -186,7 +188,7 @@ def characterise_piezo(
 def _channels(
     rec: Recording, command: str, position: str, channel: str | None, command_channel: str | None
 ) -> tuple[str, str]:
-    """Channel of the position and of the command."""
+    """Return the channel of the position and that of the command."""
     for name in (command, position):
         if name not in rec.signals:
             raise DataError(f"recording {rec.name!r} has no signal {name!r}; it has {', '.join(rec.signals)}")
@@ -204,7 +206,7 @@ def _channels(
 
 
 def _saturated(level: FloatArray, at: FloatArray, gain: FloatArray, limits: tuple[float, float] | None) -> BoolArray:
-    """Find the steps that lead to or from the end of the travel."""
+    """Mark the steps to or from the end of the travel."""
     if limits is not None:
         low, high = limits
         if not low < high:
@@ -215,7 +217,7 @@ def _saturated(level: FloatArray, at: FloatArray, gain: FloatArray, limits: tupl
     usual = float(np.nanmedian(gain))
     small = gain * np.sign(usual) < _SMALL_STEP * abs(usual)
     ends = (level == level.min()) | (level == level.max())
-    # After a turn hysteresis makes a step small as well; on the way to the end only the travel that is used up does.
+    # Hysteresis also makes the first step after a reversal small. On the way to an end only saturation does.
     towards = small & ends[1:]
     away = np.concatenate([[False], towards[:-1]]) & small
     return np.asarray(towards | away)
@@ -227,19 +229,19 @@ def _creep(rec: Recording, y: FloatArray, plateaus: Plateaus, keep: float, settl
         raise UsageError(
             f"settle_s = {settle_s} s leaves too little of the shortest plateau ({sizes.min() * rec.sample_time:g} s)"
         )
-    found = []
+    creep = []
     for k in range(1, len(plateaus)):
         a, b, earlier = int(plateaus.start[k]), int(plateaus.stop[k]), int(plateaus.stop[k - 1])
         width = max(MIN_SAMPLES, round(min(keep, 0.1) * (b - a - settle)))
         before = y[max(int(plateaus.start[k - 1]), earlier - width) : earlier].mean()
         early = y[a + settle : a + settle + width].mean()
         moved = early - before
-        found.append((y[b - width : b].mean() - early) / moved if moved else np.nan)
-    return np.array(found)
+        creep.append((y[b - width : b].mean() - early) / moved if moved else np.nan)
+    return np.array(creep)
 
 
 def _responses(y: FloatArray, plateaus: Plateaus, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """Step responses without their offsets in time and position."""
+    """Return the step responses from zero time and zero position."""
     length = int((plateaus.stop - plateaus.start)[1:].min())
     columns = []
     for k in range(1, len(plateaus)):

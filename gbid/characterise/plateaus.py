@@ -1,4 +1,4 @@
-"""Where a staircase stands still, and the means there with honest standard errors."""
+"""Plateaus of a staircase, and their steady means with standard errors."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
 
 MIN_SAMPLES = 40
-"""A plateau with fewer samples in its steady part says nothing of its own scatter."""
+"""Smallest number of samples in a steady part from which a standard error can be estimated."""
 _BATCHES = 10
 _HARMONICS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Plateaus:
-    """Stretches of a recording on which all channels of a command stand still.
+    """Stretches of a recording on which all channels of a command are constant.
 
     Attributes
     ----------
     start, stop : (n_plateaus,) array of int
         First sample and the one after the last.
     level : (n_plateaus, n_channels) array
-        Command on each.
+        Command on each plateau.
     """
 
     start: FloatArray
@@ -37,10 +37,10 @@ class Plateaus:
 
 
 def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPLES) -> Plateaus:
-    """Find the plateaus of a staircase from its command.
+    """Return the plateaus of a staircase, found from its command.
 
-    The command is taken as it was given out, without noise: it steps where it changes by more than 0.1 % of its whole
-    travel from one sample to the next. Stretches shorter than `min_samples` are passages between plateaus.
+    The command must be without noise. A step is a change by more than 0.1 % of the whole travel from one sample to the
+    next. Stretches shorter than `min_samples` are transitions between plateaus.
 
     Parameters
     ----------
@@ -49,17 +49,17 @@ def find_plateaus(rec: Recording, command: str, min_samples: int = 2 * MIN_SAMPL
     command : str
         Name of the commanded signal, e.g. r.
     min_samples : int
-        Fewest samples of a plateau.
+        Smallest number of samples of a plateau.
 
     Returns
     -------
     Plateaus
-        At least three, in time order.
+        At least three, in the order of time.
 
     Raises
     ------
     DataError
-        When there is no such signal, it does not move, or has fewer than three plateaus.
+        When there is no such signal, when it does not move, or when it has fewer than three plateaus.
     """
     values = rec.signal(command)
     travel = float(np.ptp(values, axis=0).max())
@@ -86,10 +86,11 @@ class SteadyMeans:
     Attributes
     ----------
     mean : (n_plateaus, n_channels) array
+        Means, in the unit of the signal.
     std_error : (n_plateaus, n_channels) array
-        Standard errors of the means; correlation from sample to sample and drift are in them.
+        Standard errors of the means; they include correlation between samples and drift.
     drift : (n_plateaus, n_channels) array
-        Change over the steady part, by a straight line.
+        Change over the steady part, from a straight line.
     """
 
     mean: FloatArray
@@ -98,19 +99,21 @@ class SteadyMeans:
 
 
 def steady_parts(rec: Recording, plateaus: Plateaus, keep: float) -> list[tuple[int, int]]:
-    """First sample of the part of each plateau that counts as steady, its end, and the one after the last.
+    """Return the steady part of each plateau: its first sample and the one after its last.
 
     Parameters
     ----------
     rec : Recording
+        The staircase.
     plateaus : Plateaus
+        Its plateaus.
     keep : float
-        Share of each plateau that is kept, above 0, at most 1.
+        Share of each plateau that is kept, from its end; above 0 and at most 1.
 
     Raises
     ------
     UsageError
-        When `keep` is not such a share.
+        When `keep` is not above 0 and at most 1.
     DataError
         When too few samples remain.
     """
@@ -129,19 +132,21 @@ def steady_parts(rec: Recording, plateaus: Plateaus, keep: float) -> list[tuple[
 
 
 def steady_means(values: FloatArray, parts: list[tuple[int, int]], angle: FloatArray | None = None) -> SteadyMeans:
-    r"""Means over the steady parts, with standard errors that hold for correlated noise and for drift.
+    r"""Return means over the steady parts, with standard errors for correlated noise and drift.
 
-    Each part is cut into ten batches; their means scatter by what noise of any colour does on that time scale, and
-    :math:`s / \sqrt{10}` is the error of the whole mean. A straight line of more than four of its
-    standard errors shows a signal not yet at rest: half its rise over the part is added in square.
+    Each part is cut into ten batches. The scatter s of the batch means contains noise of any colour on that time
+    scale, and :math:`s / \sqrt{10}` is the standard error of the mean. When the slope of a straight line is more than
+    four times its standard error, the signal is not yet at rest. Then half its rise over the part is added in square.
 
     Parameters
     ----------
     values : (n_samples, n_channels) array
+        The signal.
     parts : list of (first, stop)
+        Steady parts, as from `steady_parts`.
     angle : (n_samples,) array, optional
-        Shaft angle [rad]. Of a part with two turns or more, the first six harmonics are taken off by least squares, so
-        that run-out and unbalance do not show in its mean, whether or not it holds whole turns.
+        Shaft angle [rad]. In a part with two turns or more, the first six harmonics are removed by least squares. So
+        run-out and unbalance do not change the mean, even when the part is not a whole number of turns.
 
     Returns
     -------
@@ -167,7 +172,7 @@ def steady_means(values: FloatArray, parts: list[tuple[int, int]], angle: FloatA
 
 
 def _without_harmonics(part: FloatArray, angle: FloatArray) -> FloatArray:
-    """Take off what follows the shaft angle, but not the mean."""
+    """Remove the harmonics of the shaft angle, but not the mean."""
     turns = abs(float(np.unwrap(angle)[-1] - angle[0])) / (2 * np.pi)
     if turns < 2:
         return part

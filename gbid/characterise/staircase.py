@@ -1,4 +1,4 @@
-"""From staircase recordings to the static map (paper, Sec. 3.1)."""
+"""Static map from staircase recordings (paper, Sec. 3.1)."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ def characterise_staircase(
     position: str = "p",
     keep: float = 0.5,
 ) -> StaticMap:
-    r"""Map steady inputs to steady positions, by least squares, from staircases up and down.
+    """Return the static map from inputs to positions, fitted by least squares to staircases up and down.
 
-    The plateaus are found from the command; of each the last part counts as steady. Least squares on the steady
-    means give the gains, and one offset for each recording, so that recordings with a staircase in x and in y go
-    together. The residual covariance scales that of the gains, unless the means themselves are less certain than the
-    residuals show (a drift that all share, say): then their standard errors do.
+    The plateaus are found from the command. The last part of each plateau counts as steady. Least squares on the
+    steady means give the gains, and one offset for each recording, so that a staircase in x and one in y can be
+    fitted together. The covariance of the gains is scaled by the covariance of the residuals. When the standard
+    errors of the means are larger than the residuals (for example with a common drift), the standard errors are used
+    in their place.
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        With command, input and position, in raw form: run-out is taken off with the angle (phi), and a prefilter that
-        removes means or adds a median has nothing to do here. All of one operating point.
+        Raw recordings with command, input and position, all at one operating point. Run-out is removed here with the
+        angle (phi). Do not prefilter them: no means may be removed, and no median is needed.
     command : str
-        Signal that tells where the plateaus are.
+        Signal that shows where the plateaus are.
     source : str
-        Input of the map: the measured piezo position difference u; the command itself when u was not recorded.
+        Input of the map: the measured piezo position difference u, or the command when u was not recorded.
     position : str
         Output of the map.
     keep : float
@@ -52,10 +53,10 @@ def characterise_staircase(
     Raises
     ------
     UsageError
-        For a share that is none, or no recording.
+        When `keep` is not above 0 and at most 1, or when no recording is given.
     DataError
-        When signals are missing, the recordings differ in channels or conditions, plateaus are missing or too
-        short, or fewer plateaus than unknowns are there.
+        When signals are missing, when the recordings differ in channels or conditions, when plateaus are missing or too
+        short, or when there are fewer plateaus than unknowns.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not group:
@@ -73,7 +74,7 @@ def characterise_staircase(
             "they must match"
         )
     for name in (f"{source}_{c}" for c, m in zip(group[0].channels[source], moved, strict=True) if not m):
-        notes.append(f"no recording moves {name}: its gains are not known")
+        notes.append(f"no recording moves {name}, so its gains are not known")
     basis = np.hstack([u[:, moved], np.eye(len(group))[number]])
     dof = len(basis) - basis.shape[1]
     if dof < 1 or np.linalg.matrix_rank(basis / np.abs(basis).max(axis=0)) < basis.shape[1]:
@@ -123,7 +124,7 @@ def _check_alike(group: list[Recording], signals: tuple[str, ...]) -> None:
 def _of_one(
     rec: Recording, number: int, command: str, source: str, position: str, keep: float
 ) -> dict[str, FloatArray]:
-    """Plateaus of one recording as columns of a table."""
+    """Return the plateaus of one recording as columns of a table."""
     plateaus = find_plateaus(rec, command)
     parts = steady_parts(rec, plateaus, keep)
     angle = rec.signal("phi")[:, 0] if "phi" in rec.signals else None
@@ -151,7 +152,7 @@ def _of_one(
 def _covariance(
     basis: FloatArray, residual: FloatArray, std_error: FloatArray, moved: FloatArray, dof: int
 ) -> FloatArray:
-    """Covariance of the gains, row by row."""
+    """Return the covariance of the gains, row by row."""
     n_inputs, n_outputs = len(moved), residual.shape[1]
     inverse = np.linalg.inv(basis.T @ basis)[: moved.sum(), : moved.sum()]
     noise = residual.T @ residual / dof
@@ -169,7 +170,7 @@ def _covariance(
 def _deviations(
     table: dict[str, FloatArray], residual: FloatArray, n_inputs: int, n_outputs: int
 ) -> dict[str, FloatArray]:
-    """Root mean square, largest and branch difference of the deviations, on the staircase of each input."""
+    """Return rms, largest value and branch difference of the deviations on the staircase of each input."""
     found = {
         name: np.full((n_outputs, n_inputs), np.nan) for name in ("rms", "largest", "hysteresis", "hysteresis_std")
     }

@@ -1,4 +1,4 @@
-"""Static characterisation of the rotor on its bearing (paper, Sec. 3.1 and Fig. 5): the result."""
+"""Static map of the rotor on its bearing (paper, Sec. 3.1 and Fig. 5)."""
 
 from __future__ import annotations
 
@@ -15,34 +15,35 @@ from gbid.errors import UsageError
 
 @dataclass(frozen=True, eq=False)
 class StaticMap:
-    r"""Steady positions over steady inputs, and the straight lines through them.
+    r"""Steady positions over steady inputs, and the straight lines fitted to them.
 
     .. math:: \bar p_{i,k} = \sum_j g_{ij} \bar u_{j,k} + c_{i,m(k)} + e_{i,k}
 
-    for plateau k of recording m. Made by `characterise_staircase`.
+    for plateau k of recording m. It is made by `characterise_staircase`. Inputs and outputs are in `units`.
 
     Attributes
     ----------
     gain : (n_outputs, n_inputs) array
         Static gain g; NaN for an input that no recording moves.
     covariance : (n_outputs * n_inputs, n_outputs * n_inputs) array
-        Of the gains, row by row (g_xx, g_xy, g_yx, g_yy); NaN where the gain is.
+        Covariance of the gains, row by row (g_xx, g_xy, g_yx, g_yy); NaN where the gain is NaN.
     offset : (n_recordings, n_outputs) array
         c, the equilibrium without input, of each recording.
     dof : int
-        Degrees of freedom: plateaus less unknowns per output.
+        Degrees of freedom: plateaus minus unknowns per output.
     rms, largest : (n_outputs, n_inputs) array
-        Root mean square and largest deviation e of output i from linear on the staircase of input j (Sec. 3.1).
+        Root mean square and largest deviation e of output i from a straight line on the staircase of input j (Sec.
+        3.1).
     hysteresis, hysteresis_std : (n_outputs, n_inputs) array
-        Largest difference of e between the up and the down branch at the same input, and its standard error. It is a
-        largest of many: up to three standard errors it is what noise gives.
+        Largest difference of e between the up and the down branch at the same input, and its standard error. It is the
+        largest of many values, so noise alone gives up to about three standard errors.
     recording : (n_plateaus,) array
         Number of the recording of each plateau.
     axis : (n_plateaus,) array
-        Input whose staircase the plateau belongs to; -1 for rest (counts for each), -2 when several inputs are away
-        from rest (counts for none of the deviations, but for the gain).
+        Input whose staircase contains the plateau. -1 is rest, which counts for every input. -2 means that several
+        inputs are away from rest; such a plateau counts for the gain, but not for the deviations.
     direction : (n_plateaus,) array
-        1 when the last step led up, -1 down, 0 before the first.
+        1 when the last step was up, -1 when it was down, 0 before the first step.
     command : (n_plateaus, n_inputs) array
         Level of the reference.
     input_mean, input_std : (n_plateaus, n_inputs) array
@@ -52,17 +53,17 @@ class StaticMap:
     drift : (n_plateaus, n_outputs) array
         Change of the output over the steady part.
     time : (n_plateaus, 2) array
-        Begin and end of the steady part [s].
+        Start and end of the steady part [s].
     input_names, output_names : tuple of str
-        ``"u_x"`` and so on.
+        Names of the channels, ``"u_x"`` and so on.
     units : tuple of str
         Units of input and output.
     conditions : dict of str to float
         Operating point.
     sources : tuple of str
-        Recordings.
+        Names of the recordings.
     notes : tuple of str
-        What a reader should know.
+        Remarks for the reader of the result.
     """
 
     gain: FloatArray
@@ -110,17 +111,17 @@ class StaticMap:
         return np.asarray(np.sqrt(np.diag(self.covariance)).reshape(self.gain.shape))
 
     def interval(self, level: float = 0.95) -> FloatArray:
-        """Confidence intervals of the gains, by Student's t.
+        """Return confidence intervals of the gains, from Student's t distribution.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Confidence level between 0 and 1.
 
         Returns
         -------
         (n_outputs, n_inputs, 2) array
-            Lower and upper end.
+            Lower and upper ends.
 
         Raises
         ------
@@ -133,7 +134,7 @@ class StaticMap:
         return np.stack([self.gain - half, self.gain + half], axis=-1)
 
     def panel(self, output: int, source: int) -> dict[str, FloatArray]:
-        """Arrays of one panel of Fig. 5: output i over input j.
+        """Return the arrays of one panel of Fig. 5: output i over input j.
 
         Parameters
         ----------
@@ -143,8 +144,9 @@ class StaticMap:
         Returns
         -------
         dict of str to array
-            ``input``, ``output`` (without the offset and what the other inputs do), ``std`` and ``direction`` of the
-            plateaus of that staircase in time order, ``line_input`` and ``line_output`` (two points).
+            ``input``, ``output`` (without the offset and without the effect of the other inputs), ``std`` and
+            ``direction`` of the plateaus of that staircase in the order of time, and ``line_input`` and
+            ``line_output`` (two points).
         """
         with_stairs = np.isin(self.recording, self.recording[self.axis == source])
         chosen = with_stairs & ((self.axis == source) | (self.axis == -1))

@@ -1,4 +1,4 @@
-"""Exact discretisation: matrix exponential, zero- and first-order hold, the linear recursion."""
+"""Exact discretisation: matrix exponential, zero- and first-order hold, linear recursion."""
 
 from gbid.discretise.delayed import Taps, delayed_taps
 from gbid.discretise.dual import Dual, constant, side_by_side

@@ -1,4 +1,4 @@
-"""Exact discretisation of inputs that enter after a delay of any length."""
+"""Exact discretisation of inputs with any delay."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from gbid.errors import UsageError
 
 
 class Taps(NamedTuple):
-    """How a delayed input drives the state: ``sum_i columns[i] u[k - shift + 1 - i]``.
+    """Discrete-time effect of a delayed input on the state: ``sum_i columns[i] u[k - shift + 1 - i]``.
 
     Attributes
     ----------
     shift : int
         Whole samples in the delay.
     columns : list of (n, 1) array or Dual
-        For the samples ``k - shift + 1`` (first-order hold only, else zero), ``k - shift``, ``k - shift - 1``.
+        Columns for the samples ``k - shift + 1`` (first-order hold only, else zero), ``k - shift``, ``k - shift - 1``.
     """
 
     shift: int
@@ -28,17 +28,20 @@ class Taps(NamedTuple):
 
 
 def delayed_taps(A: Any, b: Any, delay: Any, sample_time: float, hold: Hold) -> Taps:
-    """Discretise ``xd(t) = A x(t) + b u(t - delay)`` exactly for a held or interpolated input.
+    """Return the exact discretisation of ``xd(t) = A x(t) + b u(t - delay)`` for a held or interpolated input.
 
     Parameters
     ----------
     A : (n, n) array or Dual
+        System matrix [1/s].
     b : (n, 1) array or Dual
+        Input column.
     delay : float or Dual of shape (1, 1)
-        At least zero [s].
+        Delay, at least zero [s].
     sample_time : float
-        ``h`` [s].
+        Time between samples ``h`` [s].
     hold : {"zoh", "foh"}
+        Zero- or first-order hold of the input.
 
     Returns
     -------
@@ -47,22 +50,20 @@ def delayed_taps(A: Any, b: Any, delay: Any, sample_time: float, hold: Hold) -> 
     Raises
     ------
     UsageError
-        For a negative delay.
+        When the delay is negative.
 
-    Notes
-    -----
-    With ``delay = d h + e``, ``0 <= e < h``, the late input changes its piece at ``e`` within each sample.
-    After ``e`` it lies on the piece that starts at ``u[k - d]``, before on the one from ``u[k - d - 1]``;
-    each piece contributes by ``int_0^t e^(A s) ds = t phi_1(A t)`` and
-    ``int_0^t e^(A (t - s)) s ds = t^2 phi_2(A t)``, the first carried on by ``e^(A (h - e))``. The result is
-    continuous in the delay, across whole samples too.
+    Notes ----- With ``delay = d h + e``, ``0 <= e < h``, the delayed input changes to its next piece at ``e`` within
+    each sample. After ``e`` it is on the piece that starts at ``u[k - d]``, before ``e`` on the one that starts at
+    ``u[k - d - 1]``. Each piece contributes ``int_0^t e^(A s) ds = t phi_1(A t)`` and ``int_0^t e^(A (t - s)) s ds =
+    t^2 phi_2(A t)``; the first piece is then multiplied by ``e^(A (h - e))``. The result is a continuous function of
+    the delay, also at whole samples.
     """
     h = sample_time
     seconds = float(delay.value[0, 0]) if isinstance(delay, Dual) else float(delay)
     if seconds < 0:
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     shift = int(np.floor(seconds / h))
-    early = delay - shift * h  # the part of the sample before the late input reaches its next piece
+    early = delay - shift * h  # time in the sample before the delayed input changes to its next piece
     late = h - early
     whole = _integrals(A, h)
     after = _integrals(A, late)

@@ -1,4 +1,4 @@
-"""Matrices that carry their derivatives with respect to some parameters along."""
+"""Dual matrices: matrices with their derivatives with respect to some parameters."""
 
 from __future__ import annotations
 
@@ -10,20 +10,21 @@ from gbid.arrays import FloatArray
 
 
 class Dual:
-    """A matrix and its derivatives, closed under the operations that discretisation needs.
+    """Matrix with its derivatives, for forward differentiation of the discretisation.
 
-    Forward differentiation: every formula written for arrays gives value and derivatives when it is handed
-    duals. Operands may be plain arrays or numbers, whose derivatives are zero.
+    A formula written for arrays gives value and derivatives when its arguments are duals. Operands may also be plain
+    arrays or numbers; their derivatives are zero.
 
     Parameters
     ----------
     value : (n, m) array
+        The matrix.
     slope : (n_parameters, n, m) array
         Derivative with respect to each parameter.
     """
 
     __slots__ = ("slope", "value")
-    __array_ufunc__ = None  # numpy arrays on the left leave the operation to this class
+    __array_ufunc__ = None  # makes numpy call the operators of this class when an array is on the left
 
     def __init__(self, value: FloatArray, slope: FloatArray) -> None:
         self.value = value
@@ -59,7 +60,7 @@ class Dual:
         return self.__neg__().__add__(other)
 
     def __mul__(self, factor: Any) -> Dual:
-        """Multiply by a number, or by a dual of shape (1, 1) or of a row (1, m) that scales columns."""
+        """Return the product with a number, or with a dual of shape (1, 1) or (1, m) that scales the columns."""
         if isinstance(factor, Dual):
             return Dual(self.value * factor.value, self.slope * factor.value + self.value * factor.slope)
         return Dual(self.value * factor, self.slope * factor)
@@ -70,7 +71,7 @@ class Dual:
         return Dual(self.value / number, self.slope / number)
 
     def columns(self, index: Any) -> Dual:
-        """Take some columns, as an array indexed by ``[:, index]``.
+        """Return some columns, as an array indexed by ``[:, index]``.
 
         Parameters
         ----------
@@ -86,5 +87,5 @@ def constant(value: FloatArray, n_parameters: int) -> Dual:
 
 
 def side_by_side(parts: list[Dual]) -> Dual:
-    """Join duals of the same height into one."""
+    """Return duals of the same number of rows joined side by side."""
     return Dual(np.hstack([part.value for part in parts]), np.concatenate([part.slope for part in parts], axis=2))

@@ -1,15 +1,15 @@
 """Matrix exponential and its integrals, symbolic or numeric, by one algorithm.
 
 With ``phi_1(Z) = int_0^1 e^(Z s) ds`` and ``phi_2(Z) = int_0^1 (1 - s) e^(Z s) ds``, the response of
-``xd = A x + B u`` over one sample is made of ``e^(A h)``, ``h phi_1(A h) B`` and ``h phi_2(A h) B``.
-All three come from one Taylor polynomial of ``phi_2`` at ``Z / 2^s`` and `s` doublings:
+``xd = A x + B u`` over one sample consists of ``e^(A h)``, ``h phi_1(A h) B`` and ``h phi_2(A h) B``.
+All three follow from one Taylor polynomial of ``phi_2`` at ``Z / 2^s`` and `s` doublings:
 
     phi_1 = I + Z phi_2,   e^Z = I + Z phi_1,
     phi_2(2 Z) = (phi_1(Z)^2 + 2 phi_2(Z)) / 4,   phi_1(2 Z) = (e^Z + I) phi_1(Z) / 2.
 
-The number of doublings is fixed when a symbolic graph is built, so it is chosen beforehand from numeric
-samples of the matrix, after Al-Mohy and Higham (2009): by the norms of powers of the balanced matrix, which
-see the fastest pole rather than the scaling of the states.
+The number of doublings must be known when a symbolic graph is built. It is therefore computed before from numeric
+samples of the matrix, after Al-Mohy and Higham (2009), from the norms of powers of the balanced matrix. These norms
+depend on the fastest pole and not on the scaling of the states.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from scipy.linalg import matrix_balance
 
 from gbid.arrays import FloatArray
 
-TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double: enough where the norm is at most one
+TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double, so this order suffices when the norm is at most one
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
 
 
 class Exponentials(NamedTuple):
-    """The exponential of ``Z`` and its first two integrals, each (n, n)."""
+    """Exponential of ``Z`` and its first two integrals, each (n, n)."""
 
     exp: Any
     phi1: Any
@@ -48,12 +48,12 @@ def exponentials(Z: Any, squarings: int) -> Exponentials:
     Z : (n, n) casadi.SX, numpy array or Dual
         The matrix, already multiplied by the sample time.
     squarings : int
-        Number of doublings, as `squarings_for` gives.
+        Number of doublings, from `squarings_for`.
 
     Returns
     -------
     Exponentials
-        Of the kind of `Z`.
+        Of the same type as `Z`.
     """
     eye = _identity_like(Z)
     Z = Z / 2.0**squarings
@@ -84,12 +84,12 @@ def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
 
 
 def squarings_for(matrices: Iterable[FloatArray]) -> int:
-    """Doublings that bring every one of some matrices within the reach of the Taylor polynomial.
+    """Return the number of doublings that makes the Taylor polynomial exact for all given matrices.
 
     Parameters
     ----------
     matrices : iterable of (n, n) arrays
-        Samples of ``A h``: at the start values, at bounds, anywhere the graph will be evaluated.
+        Samples of ``A h``: at the start values, at bounds, wherever the graph will be evaluated.
 
     Returns
     -------

@@ -13,17 +13,18 @@ from gbid.discretise.expm import exponentials, squarings_for
 from gbid.errors import UsageError
 
 Hold = Literal["zoh", "foh"]
-"""How an input behaves between samples: constant (zero-order) or on a straight line (first-order hold)."""
+"""Inter-sample behaviour of an input: constant (zero-order hold) or on a straight line (first-order hold)."""
 
 
 class Discrete(NamedTuple):
-    """``x[k+1] = F x[k] + G_now u[k] + G_next u[k+1]``.
+    """Discrete-time system ``x[k+1] = F x[k] + G_now u[k] + G_next u[k+1]``.
 
     Attributes
     ----------
     F : (n, n)
+        System matrix.
     G_now, G_next : (n, n_inputs)
-        `G_next` has zero columns for inputs under zero-order hold.
+        Input matrices; `G_next` has zero columns for inputs with zero-order hold.
     """
 
     F: Any
@@ -32,12 +33,12 @@ class Discrete(NamedTuple):
 
 
 def check_holds(hold: str | Sequence[str], n_inputs: int) -> tuple[Hold, ...]:
-    """Return one hold per input from one name or a sequence of names.
+    """Return one hold per input, from one name or a sequence of names.
 
     Raises
     ------
     UsageError
-        For an unknown name or a sequence of the wrong length.
+        When a name is unknown, or when the sequence has the wrong length.
     """
     holds = (hold,) * n_inputs if isinstance(hold, str) else tuple(hold)
     for name in holds:
@@ -51,33 +52,36 @@ def check_holds(hold: str | Sequence[str], n_inputs: int) -> tuple[Hold, ...]:
 def discretise(
     A: Any, B: Any, sample_time: float, hold: str | Sequence[str] = "zoh", squarings: int | None = None
 ) -> Discrete:
-    """Discretise ``xd = A x + B u`` exactly for the given hold.
+    """Return the exact discretisation of ``xd = A x + B u`` for the given hold.
 
     Parameters
     ----------
     A : (n, n) casadi.SX, numpy array or Dual
+        System matrix [1/s].
     B : (n, n_inputs) casadi.SX, numpy array or Dual
+        Input matrix.
     sample_time : float
-        Time between samples [s].
+        Time between samples ``h`` [s].
     hold : {"zoh", "foh"} or sequence of these
-        Behaviour of all inputs, or of each.
+        Hold of all inputs, or of each.
     squarings : int, optional
-        Needed for a symbolic `A` only (see `gbid.discretise.squarings_for`); a numeric `A` finds its own.
+        Number of doublings; required for a symbolic `A` only (see `gbid.discretise.squarings_for`). For a numeric `A`
+        it is computed.
 
     Returns
     -------
     Discrete
-        Of the kind of `A`.
+        Of the same type as `A`.
 
     Raises
     ------
     UsageError
-        For an unknown hold, or a symbolic `A` without `squarings`.
+        When the hold is unknown, or when `A` is symbolic and `squarings` is not given.
 
     Notes
     -----
-    On a straight line ``u(s) = u[k] + (u[k+1] - u[k]) s / h``, so that ``G_next = h phi_2(A h) B`` and
-    ``G_now = h (phi_1(A h) - phi_2(A h)) B``; held, ``G_now = h phi_1(A h) B``.
+    With first-order hold ``u(s) = u[k] + (u[k+1] - u[k]) s / h``, so that ``G_next = h phi_2(A h) B`` and
+    ``G_now = h (phi_1(A h) - phi_2(A h)) B``. With zero-order hold ``G_now = h phi_1(A h) B``.
     """
     holds = check_holds(hold, B.shape[1])
     numeric = not isinstance(A, ca.SX)

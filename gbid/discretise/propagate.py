@@ -1,4 +1,4 @@
-"""The linear recursion over a long record, a block of samples at a time."""
+"""Linear recursion over a long record, in blocks of samples."""
 
 from __future__ import annotations
 
@@ -8,15 +8,16 @@ from gbid.arrays import FloatArray
 
 
 def propagate(F: FloatArray, forcing: FloatArray, initial_state: FloatArray) -> FloatArray:
-    """States of ``x[k+1] = F x[k] + w[k]``.
+    """Return the states of ``x[k+1] = F x[k] + w[k]``.
 
-    The record is cut into about sqrt(N) blocks that are run side by side from zero; their starts are then
-    linked, and the free response from each start added. This is exact, and some fifty times faster in
-    Python than sample by sample.
+    The record is cut into about sqrt(N) blocks. All blocks are computed at the same time from zero states. Then the
+    initial states of the blocks are computed one after the other, and the free response from each is added. The
+    result is exact. In Python it is about fifty times faster than a loop over the samples.
 
     Parameters
     ----------
     F : (n, n) array
+        System matrix.
     forcing : (n_samples, n) array
         ``w``.
     initial_state : (n,) array
@@ -25,7 +26,7 @@ def propagate(F: FloatArray, forcing: FloatArray, initial_state: FloatArray) -> 
     Returns
     -------
     (n_samples, n) array
-        ``x[0]`` to ``x[n_samples - 1]``; the last row of `forcing` does not enter.
+        ``x[0]`` to ``x[n_samples - 1]``; the last row of `forcing` is not used.
     """
     n_samples, n = forcing.shape
     length = max(1, int(np.ceil(np.sqrt(n_samples))))

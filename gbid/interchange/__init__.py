@@ -1,4 +1,4 @@
-"""Models, fits and LPV models in files of other programs: MATLAB, spreadsheets, plain YAML."""
+"""Export of models, fits and LPV models to other programs: MATLAB, spreadsheets, plain YAML."""
 
 from gbid.interchange.csv_file import save_csv
 from gbid.interchange.mat_file import Exportable, save_mat

@@ -1,4 +1,4 @@
-"""Models as tables for a spreadsheet."""
+"""Export of models as csv tables."""
 
 from __future__ import annotations
 
@@ -24,16 +24,20 @@ from gbid.tables.table import Table, Value, plain_table
 def save_csv(
     what: Exportable, path: str | Path, *, frequency_hz: npt.ArrayLike | None = None, overwrite: bool = False
 ) -> Path:
-    """Write a model as a table: first line the headings, numbers with all their digits, decimal point, commas.
+    """Write a model as a csv table, and return the path of the file.
 
-    A `LinearModel` gives its matrices, one entry a line with the names of its row and column; a `FitResult` its
-    parameters with standard deviation and unit; a `LPVModel` the coefficients of Eq. 16. With `frequency_hz` it is
-    the frequency response of the model or fit: magnitude and phase [deg] of each pair of channels.
+    The first line has the headings. Numbers have all digits and a decimal point; the separator is a comma. The table
+    of a `LinearModel` has its matrices, one entry per line with the names of its row and column. The table of a
+    `FitResult` has its parameters with standard deviation and unit, and that of a `LPVModel` the coefficients of Eq.
+    16. With `frequency_hz` the table has the frequency response of the model or fit: magnitude and phase [deg] of
+    each pair of channels.
 
     Parameters
     ----------
     what : LinearModel, FitResult or LPVModel
+        The model to export.
     path : path
+        The new file.
     frequency_hz : (n,) array, optional
         Frequencies [Hz].
     overwrite : bool
@@ -47,9 +51,9 @@ def save_csv(
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, or a frequency response is asked of an LPV model.
+        When the file exists and `overwrite` is not set, or when `frequency_hz` is given for an LPV model.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     path = Path(path)
     if frequency_hz is not None:

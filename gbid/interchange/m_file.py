@@ -1,4 +1,4 @@
-"""The MATLAB function beside a mat file, which builds ss and idss objects from it."""
+"""MATLAB function that builds ss and idss objects from a mat file."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _LOAD = "data = load(fullfile(fileparts(mfilename('fullpath')), '{name}.mat'));"
 
 
 def linear_function(name: str, what: LinearModel | FitResult) -> str:
-    """Text of the function of a model or fit."""
+    """Return the text of the MATLAB function of a model or fit."""
     model = what.model if isinstance(what, FitResult) else what
     with_idss = model.K is not None
     lines = [
@@ -37,7 +37,7 @@ def linear_function(name: str, what: LinearModel | FitResult) -> str:
 
 
 def inputs_are_only_late(model: LinearModel) -> bool:
-    """Whether no input enters both at once and late, so that a plain input delay says it all."""
+    """Return whether no input acts both directly and with delay, so that an input delay describes the model."""
     if model.B_delayed is None:
         return True
     return not any(
@@ -92,7 +92,10 @@ def _idss(model: LinearModel) -> list[str]:
 
 
 def lpv_function(name: str, model: LPVModel) -> str:
-    """Text of the function of an LPV model, which evaluates Eq. 16 and builds Eqs. 19 and 20 with exact delays."""
+    """Return the text of the MATLAB function of an LPV model.
+
+    The function evaluates Eq. 16 and builds Eqs. 19 and 20 with exact delays.
+    """
     known = bool(model.actuators)
     outputs = "[bearing, plant, values]" if known else "[bearing, values]"
     lines = [
@@ -147,5 +150,5 @@ def lpv_function(name: str, model: LPVModel) -> str:
 
 
 def _comment(text: str) -> str:
-    """One line of a comment."""
+    """Return a text as one line of a comment."""
     return " ".join(text.split())

@@ -1,4 +1,4 @@
-"""Models for MATLAB: a mat file with the numbers, and a function beside it that builds the objects."""
+"""Export of models to MATLAB: a mat file with the numbers, and a function that builds the objects."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gbid.lpv.model_file import SI_UNITS
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
 Exportable = LinearModel | FitResult | LPVModel
-"""What can be written for other programs."""
+"""Types that can be exported to other programs."""
 
 _IN_METRES = ("rotor_bearing", "piezo_pair", "plant")
 _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
@@ -30,19 +30,21 @@ _MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 def save_mat(
     what: Exportable, path: str | Path, *, units: Mapping[str, str] | None = None, overwrite: bool = False
 ) -> list[Path]:
-    """Write a model for MATLAB: numbers in a .mat file, and a function of the same name beside it that builds it.
+    """Write a model for MATLAB, and return the paths of the files.
 
-    In MATLAB ``sys = NAME()`` gives an ``ss`` with names, units, sample time and exact delays; of a fit with
-    disturbance gain ``[sys, fitted] = NAME()`` also gives an ``idss`` with K. Of an LPV model
-    ``[bearing, plant] = NAME(pressure_bar, speed_rpm)`` gives the models of one operating point.
+    The numbers are in a .mat file. A function of the same name beside it builds the model. In MATLAB ``sys = NAME()``
+    returns an ``ss`` with names, units, sample time and exact delays. For a fit with disturbance gain
+    ``[sys, fitted] = NAME()`` also returns an ``idss`` with K. For an LPV model
+    ``[bearing, plant] = NAME(pressure_bar, speed_rpm)`` returns the models at one operating point.
 
     Parameters
     ----------
     what : LinearModel, FitResult or LPVModel
+        The model to export.
     path : path
-        The mat file; its name must be one that MATLAB takes for a function, as ``bearing_6bar.mat``.
+        The mat file. Its name must be a valid name of a MATLAB function, as ``bearing_6bar.mat``.
     units : dict of str to str, optional
-        Unit of each channel by its name. LPV models and fits of gbid's own structures are in metres.
+        Unit of each channel by its name. LPV models and fits of the structures of gbid are in metres.
     overwrite : bool
         Whether existing files may be replaced.
 
@@ -54,9 +56,9 @@ def save_mat(
     Raises
     ------
     UsageError
-        When one of the files exists and `overwrite` is not set, or the name is none for MATLAB.
+        When one of the files exists and `overwrite` is not set, or when the name is not valid in MATLAB.
     DataError
-        When they cannot be written.
+        When the files cannot be written.
     """
     path = Path(path)
     if path.suffix != ".mat":
@@ -64,7 +66,7 @@ def save_mat(
     name, function = path.stem, path.with_suffix(".m")
     if not _MATLAB_NAME.fullmatch(name):
         raise UsageError(
-            f"{path}: {name!r} is no name for a MATLAB function; use letters, digits and '_' only, "
+            f"{path}: {name!r} is not a valid name of a MATLAB function; use letters, digits and '_' only, "
             "and begin with a letter"
         )
     for file in (path, function):
@@ -82,7 +84,7 @@ def save_mat(
 
 
 def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | None = None) -> dict[str, Any]:
-    """Variables of the mat file of a model or fit; what a model does not have is an empty matrix."""
+    """Return the variables of the mat file of a model or fit; missing matrices are empty."""
     model = what.model if isinstance(what, FitResult) else what
     own = isinstance(what, FitResult) and what.structure in _IN_METRES
     known = {name: "m" for name in (*model.input_names, *model.output_names) if own} | dict(units or {})
@@ -126,7 +128,7 @@ def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | No
 
 
 def lpv_contents(model: LPVModel) -> dict[str, Any]:
-    """Variables of the mat file of an LPV model."""
+    """Return the variables of the mat file of an LPV model."""
     return {
         "gbid_version": __version__,
         "name": model.name,
@@ -144,7 +146,7 @@ def lpv_contents(model: LPVModel) -> dict[str, Any]:
 
 
 def cell(texts: Sequence[str]) -> np.ndarray[Any, Any]:
-    """Texts as a MATLAB cell column."""
+    """Return texts as a MATLAB cell column."""
     out = np.empty((len(texts), 1), dtype=object)
     for i, text in enumerate(texts):
         out[i, 0] = text

@@ -1,4 +1,4 @@
-"""Models as plain YAML, which every language reads."""
+"""Export of models as plain YAML."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ from gbid.yaml_file import write_yaml
 
 
 def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) -> Path:
-    """Write a model as YAML: an LPV model as a model file (`gbid.load_model` reads it back), others as plain values.
+    """Write a model as YAML, and return the path of the file.
+
+    An LPV model is written as a model file, which `gbid.load_model` reads. Other models are written as plain values.
 
     Parameters
     ----------
     what : LinearModel, FitResult or LPVModel
+        The model to export.
     path : path
+        The new file.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -34,7 +38,7 @@ def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) ->
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     path = Path(path)
     if isinstance(what, LPVModel):

@@ -1,4 +1,4 @@
-"""Prefilter (paper, Sec. 3.5): run-out and unbalance map, offsets, median of three."""
+"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of offsets, median of three."""
 
 import sys
 from types import ModuleType
@@ -34,7 +34,7 @@ __all__ = [
 
 
 class _CallablePackage(ModuleType):
-    """`gbid.prefilter` is this package and, as one of gbid's public names, also the function in it."""
+    """Package type that can be called, because `gbid.prefilter` is both this package and the public function in it."""
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         return prefilter(*args, **kwargs)

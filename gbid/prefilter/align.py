@@ -1,4 +1,4 @@
-"""Recordings of an encoder whose index was never seen: the angle starts anywhere, the run-out tells where."""
+"""Alignment of recordings without encoder index: the run-out shows the offset of the shaft angle."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from gbid.prefilter.shaft import ShaftMotion, shaft_motion
 from gbid.recording import Recording
 
 SURE = 5.0
-"""Standard deviations by which every other offset must be worse."""
-_GRID = 3600  # offsets looked at, then refined
+"""Number of standard deviations by which every other offset must be worse."""
+_GRID = 3600  # evaluated offsets; the minima are refined
 _MAX_BLOCKS = 20
 
 
 @dataclass(frozen=True, eq=False)
 class IndexAlignment:
-    """Angle between the zero of a recording's encoder and that of a map.
+    """Offset between the zero of the encoder in a recording and that of a run-out map.
 
     Attributes
     ----------
     offset : float
-        What must be added to the recorded angle, within [0, 2 pi) [rad].
+        Angle to add to the recorded angle, within [0, 2 pi) [rad].
     std : float
         Its standard deviation [rad].
     margin : float
-        By how many standard deviations the next best offset is worse. Run-out of few harmonics looks alike
-        after part of a turn, and then this is small.
+        Number of standard deviations by which the next best offset is worse. It is small for run-out with few
+        harmonics, which repeats after part of a turn.
     next_best : float
-        That offset [rad].
+        The next best offset [rad].
     explained : float
-        Part of the recording's synchronous motion, as mean square, that the aligned map accounts for; near 1 when the
-        map holds for the recording, small or negative when it is of another operating point or machine.
+        Share of the mean square of the synchronous motion that the aligned map explains. It is near 1 when the map
+        holds for the recording, and small or negative for another operating point or machine.
     offsets, misfit : (n,) array
-        Offsets looked at [rad], and the squared deviation at each in standard deviations, for a picture.
+        Evaluated offsets [rad], and the squared deviation at each, in squared standard deviations, for a figure.
     """
 
     offset: float
@@ -51,25 +51,25 @@ class IndexAlignment:
 
     @property
     def sure(self) -> bool:
-        """Whether no other offset is nearly as good (5 standard deviations) and the map explains half of it."""
+        """Whether the next best offset is worse by 5 standard deviations or more and the map explains at least half."""
         return self.margin >= SURE and self.explained >= 0.5
 
     def apply(self, rec: Recording) -> Recording:
-        """Return the recording with its angle counted from the map's zero.
+        """Return the recording with its angle counted from the zero of the map.
 
         Parameters
         ----------
         rec : Recording
-            The one that was aligned, or another of the same run of the encoder.
+            The aligned recording, or another one from the same run of the encoder.
 
         Raises
         ------
         DataError
-            When the offset is not sure; add it to phi yourself if you know better.
+            When the offset is not sure. If you know the offset, add it to phi yourself.
         """
         if not self.sure:
             raise DataError(
-                f"recording {rec.name!r}: the missing index cannot be told from the run-out: "
+                f"recording {rec.name!r}: the missing index cannot be found from the run-out: "
                 f"{np.rad2deg(self.offset):.1f} or {np.rad2deg(self.next_best):.1f} degrees "
                 f"({self.margin:.1f} standard deviations apart, {self.explained:.0%} explained); "
                 "use a longer recording, or one with the index"
@@ -80,24 +80,24 @@ class IndexAlignment:
 
 
 def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10) -> IndexAlignment:
-    r"""Find the angle offset of a recording whose encoder had no index.
+    r"""Return the angle offset of a recording whose encoder had no index.
 
-    The harmonics :math:`A_n` of the recorded position over the recorded angle and those of the map, :math:`M_n`, differ
-    by a turn: :math:`A_n = M_n e^{i n \delta}`. The offset minimises
-    :math:`J(\delta) = \sum_n |A_n - M_n e^{i n \delta}|^2 / \sigma_n^2` over all channels, a circular correlation
-    in which each harmonic has the weight that its scatter between parts of the recording gives it, and what the map
-    left of its own recordings; so a recording with moving piezos serves as well, its answer being scatter only. The
-    curvature at the minimum gives the standard deviation, and :math:`\sqrt{J(\delta_2) - J(\delta)}` at the next lowest
-    minimum how sure the choice is.
+    Let :math:`A_n` be the harmonics of the recorded position over the recorded angle, and :math:`M_n` those of the
+    map. They differ by a rotation: :math:`A_n = M_n e^{i n \delta}`. The offset minimises :math:`J(\delta) = \sum_n
+    |A_n - M_n e^{i n \delta}|^2 / \sigma_n^2` over all channels. This is a circular correlation with one weight for
+    each harmonic. The variance :math:`\sigma_n^2` comes from the scatter between parts of the recording and from the
+    residuals of the map. The piezos may move, because their motion only adds scatter. The curvature at the minimum
+    gives the standard deviation. The margin of the choice is :math:`\sqrt{J(\delta_2) - J(\delta)}`, where
+    :math:`\delta_2` is the next lowest minimum.
 
     Parameters
     ----------
     runout_map : RunoutMap
-        From recordings with one common zero of the angle, and of the same operating point.
+        Map from recordings with one common zero of the angle, at the same operating point.
     recording : Recording
-        With p and phi; at least 8 turns. The piezos may move.
+        Recording with p and phi and at least 8 turns. The piezos may move.
     orders : int
-        Harmonics used, at most those of the map.
+        Number of harmonics, at most those of the map.
 
     Returns
     -------
@@ -106,9 +106,9 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
     Raises
     ------
     UsageError
-        When `orders` is below 1, or the map is of a shaft at rest.
+        When `orders` is below 1, or when the map is of a shaft at rest.
     DataError
-        When signals are missing, channels differ, or there are too few turns.
+        When signals are missing, when channels differ, or when there are too few turns.
     """
     if orders < 1:
         raise UsageError(f"orders = {orders}; give at least 1")
@@ -125,16 +125,16 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
     expected = _map_phasors(runout_map, orders)
     n = np.arange(1.0, len(expected) + 1)
     parts = _phasors(motion, p, n)
-    found = parts.mean(axis=0)
-    variance = parts.var(axis=0, ddof=1) / len(parts)  # of the real and imaginary part together
-    # The map is not exact either: white errors of rms_after over as many samples as its turns hold.
+    measured = parts.mean(axis=0)
+    variance = parts.var(axis=0, ddof=1) / len(parts)  # sum for the real and imaginary part
+    # The map has errors, too: white noise of rms_after, averaged over the samples in its turns.
     n_map = recording.n_samples * max(runout_map.turns, 1.0) / motion.turns
     variance = variance + 4 * runout_map.rms_after**2 / n_map
     variance = np.maximum(variance, 1e-12 * float(np.abs(expected).max()) ** 2)  # noise-free data: finite weights
 
     def misfit(offset: FloatArray) -> FloatArray:
         turned = expected[None] * np.exp(1j * n[None, :, None] * offset[:, None, None])
-        return np.asarray(np.sum(2 * np.abs(found[None] - turned) ** 2 / variance[None], axis=(1, 2)))
+        return np.asarray(np.sum(2 * np.abs(measured[None] - turned) ** 2 / variance[None], axis=(1, 2)))
 
     grid = np.arange(_GRID) * TURN / _GRID
     curve = misfit(grid)
@@ -149,14 +149,14 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
         std=float(np.sqrt(2 / curvature)),
         margin=float(np.sqrt(max(other_misfit - least, 0.0))),
         next_best=other,
-        explained=float(1 - np.sum(np.abs(found - aligned) ** 2) / np.sum(np.abs(found) ** 2)),
+        explained=float(1 - np.sum(np.abs(measured - aligned) ** 2) / np.sum(np.abs(measured) ** 2)),
         offsets=grid,
         misfit=curve,
     )
 
 
 def _map_phasors(runout_map: RunoutMap, orders: int) -> FloatArray:
-    """Complex amplitudes of the map's harmonics 1, 2, ..., (n_orders, n_channels)."""
+    """Return the complex amplitudes of the harmonics 1, 2, ... of the map, (n_orders, n_channels)."""
     highest = int(runout_map.orders.max()) if runout_map.orders.size else len(runout_map.angles) // 2
     n_points = 4096
     values = runout_map.evaluate(np.arange(n_points) * TURN / n_points)
@@ -164,7 +164,7 @@ def _map_phasors(runout_map: RunoutMap, orders: int) -> FloatArray:
 
 
 def _phasors(motion: ShaftMotion, p: FloatArray, orders: FloatArray) -> FloatArray:
-    """Complex amplitudes in each of several parts of whole turns, (n_parts, n_orders, n_channels)."""
+    """Return the complex amplitudes in several parts of whole turns, (n_parts, n_orders, n_channels)."""
     course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
     n_parts = int(min(_MAX_BLOCKS, motion.turns // 2))
     edges = np.searchsorted(course, TURN * np.floor(motion.turns / n_parts) * np.arange(n_parts + 1))
@@ -179,7 +179,7 @@ def _phasors(motion: ShaftMotion, p: FloatArray, orders: FloatArray) -> FloatArr
 
 
 def _refined(misfit: object, start: float) -> tuple[float, float, float]:
-    """Lowest point of the parabola through three neighbours, its value and the curvature."""
+    """Return the minimum of the parabola through three neighbours: its place, its value and the curvature."""
     assert callable(misfit)
     step = TURN / _GRID
     for _ in range(3):

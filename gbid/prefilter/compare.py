@@ -1,4 +1,4 @@
-"""Which run-out map to take: methods and sizes held against each other on data they were not made from."""
+"""Choice of a run-out map: cross-validation of methods and sizes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ BINS = (25, 50, 100, 200)
 
 @dataclass(frozen=True, eq=False)
 class RunoutTrial:
-    """One method and size of a comparison.
+    """Cross-validation result of one method and size.
 
     Attributes
     ----------
@@ -31,13 +31,13 @@ class RunoutTrial:
     size : int
         Number of harmonics or bins.
     residual_rms : (n_channels,) array
-        Root mean square left on the parts held out, over all of them [m]; NaN when no map could be made.
+        Root mean square of the residuals over all validation parts [m]; NaN when no map could be made.
     fold_rms : (n_folds, n_channels) array
-        The same on each part.
+        Root mean square of the residuals on each validation part [m].
     chosen : bool
-        Whether it is the one to take.
+        Whether this trial is the recommended one.
     note : str
-        Why no map could be made.
+        Reason why no map could be made.
     """
 
     method: str
@@ -49,22 +49,22 @@ class RunoutTrial:
 
     @property
     def n_parameters(self) -> int:
-        """Numbers that the map has for each channel, the mean aside."""
+        """Number of parameters of the map for each channel, without the mean."""
         return 2 * self.size if self.method == "harmonics" else self.size
 
 
 @dataclass(frozen=True, eq=False)
 class RunoutComparison:
-    """Trials of a comparison and the map of the chosen one.
+    """Trials of a cross-validation, and the map of the chosen trial.
 
     Attributes
     ----------
     trials : tuple of RunoutTrial
-        In the order asked for: harmonics by size, then bins by size.
+        In the requested order: harmonics by size, then bins by size.
     runout_map : RunoutMap
-        Of the chosen method and size, made from all the recordings.
+        Map of the chosen method and size, made from all recordings.
     held_out : tuple of str
-        What was held out in turn: names of recordings, or stretches of the single one, ``"name[0:6250]"``.
+        Validation parts: names of recordings, or sample ranges of the single recording, ``"name[0:6250]"``.
     """
 
     trials: tuple[RunoutTrial, ...]
@@ -73,11 +73,11 @@ class RunoutComparison:
 
     @property
     def chosen(self) -> RunoutTrial:
-        """The trial to take."""
+        """The recommended trial."""
         return next(trial for trial in self.trials if trial.chosen)
 
     def rows(self) -> list[dict[str, Any]]:
-        """Trials as a table: method, size, residual_rms_<channel> [m], chosen, note."""
+        """Return the trials as a table: method, size, residual_rms_<channel> [m], chosen, note."""
         return [
             {
                 "method": trial.method,
@@ -101,29 +101,29 @@ def compare_runout(
     folds: int = 4,
     still: float = 0.5e-6,
 ) -> RunoutComparison:
-    r"""Cross-validate run-out maps by harmonics and by angle bins, and choose one.
+    """Return a cross-validation of run-out maps by harmonics and by angle bins, with the recommended one.
 
-    Of several recordings each is held out in turn; of a single one, `folds` stretches of equal length. Each map is made
-    from the rest, and judged by what it leaves of the part held out, whose own mean does not count. The part held out
-    starts at another shaft angle when it is another recording; stretches of one recording at a speed that makes a turn
-    a whole number of samples all visit the same angles, and then say little about bins: record twice.
+    With several recordings, each is the validation part once. A single recording is cut into `folds` stretches of equal
+    length. Each map is made from the other parts and evaluated by the residuals on the validation part, about their own
+    mean. Another recording starts at another shaft angle. But stretches of one recording visit the same angles when a
+    turn is a whole number of samples. Then they cannot judge bins well, and a second recording is better.
 
-    Of the maps that are not worse than the best by more than one standard error of the difference
-    (of the mean squares, summed over the channels, over the parts held out), the one with the fewest numbers is chosen.
-    A size more than needed fits noise, a size less leaves run-out.
+    Among the maps that are not worse than the best by more than one standard error of the difference (of the mean
+    squares, summed over the channels, over the validation parts), the map with the fewest parameters is chosen. A
+    larger size fits noise, a smaller one leaves run-out.
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        As for `identify_runout`: p and phi, piezos still, one operating point.
+        As for `identify_runout`: p and phi, piezos at rest, one operating point.
     harmonics : sequence of int
         Numbers of harmonics to try; may be empty.
     bins : sequence of int
         Numbers of bins to try; may be empty.
     folds : int
-        Stretches of a single recording, at least 2.
+        Number of stretches of a single recording, at least 2.
     still : float
-        As for `identify_runout` [m].
+        Largest movement of the piezos, as for `identify_runout` [m].
 
     Returns
     -------
@@ -132,9 +132,9 @@ def compare_runout(
     Raises
     ------
     UsageError
-        When there is nothing to try, or `folds` is below 2.
+        When there is nothing to try, or when `folds` is below 2.
     DataError
-        As for `identify_runout`; when a stretch held out is shorter than two turns; when no trial gives a map.
+        As for `identify_runout`; also when a validation part is shorter than two turns, or when no trial gives a map.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if folds < 2:
@@ -163,7 +163,7 @@ def compare_runout(
 
 
 def _stretches(rec: Recording, folds: int) -> list[Recording]:
-    """Parts of equal length, each of two turns or more."""
+    """Return parts of equal length, each of two turns or more."""
     motion = shaft_motion(rec)
     if motion.turns and motion.turns < 2 * folds:
         raise DataError(
@@ -175,7 +175,7 @@ def _stretches(rec: Recording, folds: int) -> list[Recording]:
 
 
 def _tried(method: str, size: int, parts: list[Recording], still: float) -> RunoutTrial:
-    """Hold each part out once."""
+    """Return the trial of one method and size, with each part as validation part once."""
     n_channels = parts[0].signal("p").shape[1]
     rms = []
     for i, held_out in enumerate(parts):
@@ -183,8 +183,8 @@ def _tried(method: str, size: int, parts: list[Recording], still: float) -> Runo
         try:
             made = identify_runout(others, method=method, still=still, **{method: size})
         except DataError as error:
-            nothing = np.full((0, n_channels), np.nan)
-            return RunoutTrial(method, size, np.full(n_channels, np.nan), nothing, note=str(error))
+            no_folds = np.full((0, n_channels), np.nan)
+            return RunoutTrial(method, size, np.full(n_channels, np.nan), no_folds, note=str(error))
         rest = held_out.signal("p") - made.evaluate(shaft_motion(held_out).angle)
         rms.append(rest.std(axis=0))
     return _trial(method, size, np.array(rms))
@@ -195,7 +195,7 @@ def _trial(method: str, size: int, fold_rms: FloatArray, chosen: bool = False) -
 
 
 def _simplest_of_the_best(trials: list[RunoutTrial]) -> RunoutTrial:
-    """Rule of one standard error, on paired differences of the mean squares."""
+    """Return the simplest trial within one standard error of the best, on paired differences of the mean squares."""
     squares = [np.sum(trial.fold_rms**2, axis=1) for trial in trials]
     best = min(squares, key=lambda m: float(m.mean()))
     alike = []

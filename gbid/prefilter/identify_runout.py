@@ -1,4 +1,4 @@
-"""Make a run-out map from recordings with still piezos (paper, Sec. 3.5)."""
+"""Identification of a run-out map from recordings with piezos at rest (paper, Sec. 3.5)."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbid.prefilter.runout import TURN, RunoutMap, differing_condition
 from gbid.prefilter.shaft import ShaftMotion, shaft_motion
 from gbid.recording import Recording
 
-# A harmonic that the recorded angles cannot tell from another one (two per 50 angles a turn, say).
+# Above this condition number the recorded angles cannot distinguish two harmonics (aliasing at few angles per turn).
 _WORST_CONDITION = 20.0
 
 
@@ -26,36 +26,36 @@ def identify_runout(
     bins: int = 100,
     still: float = 0.5e-6,
 ) -> RunoutMap:
-    """Map the disc position over the shaft angle while the piezos are still.
+    """Return the map of the disc position over the shaft angle, from recordings with piezos at rest.
 
-    All recordings share one map; each has a mean of its own, and the map keeps the mean of these. When the
-    shaft stands still (0 rpm) angle and position cannot be related, and the map is the mean alone.
+    All recordings share one map. Each has its own mean, and the map keeps the average of these means. When the shaft
+    stands still (0 rpm), the position cannot be related to the angle, and the map is the mean alone.
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        With p and phi, and r or u to prove the stillness; all at one operating point.
+        Recordings with p and phi, at one operating point. r or u is used to check that the piezos are at rest.
     method : str
-        ``"harmonics"``: least squares on sines and cosines, the default. ``"bins"``: means over equal parts
-        of a turn, which need no guess of the number of harmonics but smooth the high ones.
+        ``"harmonics"`` (default): least squares on sines and cosines. ``"bins"``: means over equal parts of a turn.
+        Bins need no choice of the number of harmonics, but they smooth the high ones.
     harmonics : int
         Number of harmonics.
     bins : int
         Number of parts of a turn.
     still : float
-        Largest movement of r and u, peak to peak without single-sample spikes, that counts as still [m].
+        Largest movement of r and u that counts as rest [m], peak to peak and without single-sample spikes.
 
     Returns
     -------
     RunoutMap
-        The map, with the rms before and after.
+        The map, with the rms values before and after.
 
     Raises
     ------
     UsageError
-        For an unknown method, or numbers below 1.
+        When the method is unknown, or when a number is below 1.
     DataError
-        When a signal is missing, a piezo moves, the recordings do not belong together, or the recorded
+        When a signal is missing, when a piezo moves, when the recordings do not belong together, or when the recorded
         angles do not determine the map.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
@@ -112,11 +112,11 @@ def identify_runout(
         rms_after=np.zeros(n_channels),
         notes=tuple(notes),
     )
-    left = [
+    residuals = [
         values - mean - (made.evaluate(motion.angle) - made.mean)
         for values, mean, motion in zip(p, means, motions, strict=True)
     ]
-    return replace(made, rms_after=_rms(left))
+    return replace(made, rms_after=_rms(residuals))
 
 
 def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
@@ -128,28 +128,28 @@ def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
             channel = rec.channels[name][int(travel.argmax())]
             raise DataError(
                 f"recording {rec.name!r}: {name}_{channel} moves by {travel.max() * 1e6:.2f} um; "
-                f"a run-out map needs still piezos (at most {still * 1e6:.2f} um)"
+                f"a run-out map needs piezos at rest (at most {still * 1e6:.2f} um)"
             )
     if not present:
-        notes.append(f"{rec.name}: neither r nor u recorded, so nothing shows that the piezos were still")
+        notes.append(f"{rec.name}: neither r nor u is recorded, so it was not checked that the piezos were at rest")
 
 
 def _fit_harmonics(
     angles: list[FloatArray], p: list[FloatArray], orders: FloatArray
 ) -> tuple[list[FloatArray], FloatArray, FloatArray]:
-    """Least squares on one mean per recording and shared harmonics: means, cosine, sine."""
+    """Least squares on one mean per recording and shared harmonics; return means, cosine and sine."""
     lengths = [len(values) for values in p]
     phase = np.outer(np.concatenate(angles), orders)
     own_mean = np.repeat(np.eye(len(p)), lengths, axis=0)
-    # cosines and sines have mean square 1/2: brought to the size of the ones
+    # Cosines and sines have mean square 1/2. They are scaled to the size of the columns of ones.
     basis = np.hstack([own_mean, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase)])
     if len(basis) <= basis.shape[1]:
         raise DataError(f"{len(basis)} samples cannot determine {len(orders)} harmonics; use fewer harmonics")
     solution, _, _, singular = np.linalg.lstsq(basis, np.vstack(p), rcond=None)
-    shares = np.sqrt(len(p))  # the columns of a mean hold the samples of its own recording only
+    shares = np.sqrt(len(p))  # the column of a mean is nonzero only for its own recording
     if singular[0] > _WORST_CONDITION * shares * singular[-1]:
         raise DataError(
-            f"the recorded shaft angles do not tell {len(orders)} harmonics apart; at constant speed a turn "
+            f"the recorded shaft angles cannot distinguish {len(orders)} harmonics; at constant speed a turn "
             "needs more than twice as many samples as harmonics: use fewer harmonics"
         )
     means = list(solution[: len(p)])
@@ -158,21 +158,21 @@ def _fit_harmonics(
 
 
 def _mean_over_turns(motion: ShaftMotion, values: FloatArray) -> FloatArray:
-    """Mean over the largest whole number of turns, in which the harmonics average out."""
+    """Return the mean over the largest whole number of turns, in which the harmonics average out."""
     course = np.abs(np.unwrap(motion.angle) - motion.angle[0])
     inside = course < TURN * np.floor(motion.turns)
     return np.asarray(values[inside].mean(axis=0))
 
 
 def _bin_means(angle: FloatArray, centred: FloatArray, bins: int) -> tuple[FloatArray, FloatArray]:
-    """Mean angle and mean position in each part of a turn that holds samples."""
+    """Return the mean angle and mean position in each part of a turn that has samples."""
     wrapped = np.mod(angle, TURN)
     index = np.minimum((wrapped * (bins / TURN)).astype(int), bins - 1)
     count = np.bincount(index, minlength=bins)
     full = count > 0
     sums = [np.bincount(index, weights=column, minlength=bins) for column in (wrapped, *centred.T)]
     nodes, *columns = (total[full] / count[full] for total in sums)
-    # A constant speed may visit few angles only; between them lies a straight line: no wide gaps.
+    # A constant speed may visit few angles only. The map interpolates linearly between them, so gaps must be small.
     gap = np.diff(nodes, append=nodes[0] + TURN).max()
     if gap > TURN / 16:
         raise DataError(

@@ -1,4 +1,4 @@
-"""What a run-out map leaves of a recording with still piezos, and how much of it is no sensor noise."""
+"""Residual of a run-out map on a recording with piezos at rest, and its part beyond sensor noise."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
 from gbid.recording import Recording
 
-_UPPER = 0.5  # part of the spectrum, from its end, that shows the sensor noise alone
+_UPPER = 0.5  # upper part of the spectrum that contains sensor noise only
 
 
 @dataclass(frozen=True, eq=False)
 class Leftover:
-    """What is left of one stationary recording after a map.
+    """Residual of one stationary recording after a run-out map.
 
-    A shaft that runs on a well defined orbit leaves the sensor noise. At 4000 rpm the paper's (Sec. 4) does not:
-    the orbit wanders, a motion that no function of the angle describes.
+    On a stable orbit the residual is the sensor noise. At 4000 rpm the orbit of the paper (Sec. 4) is not stable: it
+    moves slowly, and no function of the shaft angle describes that.
 
     Attributes
     ----------
@@ -31,18 +31,18 @@ class Leftover:
     rms_before : (n_channels,) array
         Root mean square about the mean before the map [m].
     rms : (n_channels,) array
-        The same after the map [m].
+        Root mean square about the mean after the map [m].
     noise : (n_channels,) array
         Sensor noise, from the level of the upper half of the spectrum [m].
     non_synchronous : (n_channels,) array
-        Root mean square of what is more than noise [m].
+        Root mean square of the residual beyond the noise [m].
     frequency_hz : (n_channels,) array
-        Frequency of the strongest line that is left.
+        Frequency of the strongest spectral line in the residual.
     order : (n_channels,) array
-        That frequency over the shaft's; a number that is not whole is a motion that does not follow the shaft. NaN
-        for a shaft at rest.
+        This frequency over the shaft frequency. A value that is not an integer means motion that does not follow the
+        shaft. NaN for a shaft at rest.
     line_rms : (n_channels,) array
-        Root mean square of what is left within 5 Hz of that line [m].
+        Root mean square of the residual within 5 Hz of this line [m].
     """
 
     name: str
@@ -57,19 +57,19 @@ class Leftover:
 
     @property
     def over_noise(self) -> FloatArray:
-        """What is left over the sensor noise, (n_channels,): 1 for a perfect map."""
+        """Residual over sensor noise, (n_channels,); 1 for a perfect map."""
         return np.asarray(self.rms / self.noise)
 
 
 def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
-    """Look at what a map leaves of a recording with still piezos.
+    """Return the residual of a run-out map on a recording with piezos at rest.
 
     Parameters
     ----------
     runout_map : RunoutMap
-        Made from this or, better, from another recording.
+        Map made from this recording or, better, from another one.
     rec : Recording
-        With p and phi.
+        Recording with p and phi.
 
     Returns
     -------
@@ -78,14 +78,15 @@ def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
     Raises
     ------
     DataError
-        When p or phi is missing, or phi does not fit the speed.
+        When p or phi is missing, or when phi does not fit the speed.
     """
     p, motion = rec.signal("p"), shaft_motion(rec)
     rest = p - runout_map.evaluate(motion.angle) if runout_map.needs_angle else p - runout_map.mean
     rest = rest - rest.mean(axis=0)
     power, frequency = power_of(rest, rec.sample_time)
     upper = power[int(len(power) * (1 - _UPPER)) :]
-    # The median of a periodogram's chi-square with two degrees of freedom is ln 2 of its mean; lines do not move it.
+    # A periodogram is chi-square distributed with two degrees of freedom: its median is ln 2 times its mean. Single
+    # spectral lines do not change the median.
     noise = np.sqrt(np.median(upper, axis=0) / np.log(2) * len(power))
     rms = np.sqrt(np.mean(rest**2, axis=0))
     strongest = power.argmax(axis=0)
@@ -105,7 +106,7 @@ def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
 
 
 def power_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatArray]:
-    """Mean square per frequency, without the mean: its sum over the frequencies is the variance.
+    """Return the mean square per frequency, without the mean; its sum over the frequencies is the variance.
 
     Returns
     -------
@@ -117,5 +118,5 @@ def power_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatA
     n = len(values)
     power = 2 * np.abs(np.fft.rfft(values, axis=0)[1:] / n) ** 2
     if n % 2 == 0:
-        power[-1] /= 2  # the highest frequency stands for itself alone
+        power[-1] /= 2  # the Nyquist frequency occurs only once
     return power, np.asarray(np.fft.rfftfreq(n, sample_time)[1:], dtype=float)

@@ -1,4 +1,4 @@
-"""Running median and the spikes it takes out."""
+"""Running median, and the count of the spikes it removes."""
 
 from __future__ import annotations
 
@@ -12,29 +12,29 @@ SPIKE_SIGMAS = 5.0
 
 
 def running_median(values: FloatArray, size: int) -> FloatArray:
-    """Median over `size` neighbouring samples of each channel (paper, Sec. 3.5: size 3).
+    """Return the median over `size` neighbouring samples of each channel (paper, Sec. 3.5: size 3).
 
-    A spike of one sample vanishes, but nothing else stays quite as it was. Of white noise, size 3 leaves 45 %
-    of the variance and colours it: neighbours then correlate by 0.55, samples two apart by 0.26. And each
-    crest of a wave of amplitude a and angular frequency w is cut by up to a (w T)^2 / 2, 0.12 um of 10 um at
-    125 Hz and T = 0.2 ms. Residual tests that expect white noise see both; size 1 switches the filter off.
+    The median removes spikes of one sample, but it has two side effects. Of white noise, size 3 leaves 45 % of the
+    variance and colours it: the correlation of neighbours is 0.55, that of samples two apart is 0.26. Each crest of a
+    wave of amplitude a and angular frequency w is reduced by up to a (w T)^2 / 2, which is 0.12 um of 10 um at 125 Hz
+    and T = 0.2 ms. Residual tests that assume white noise detect both effects. Size 1 switches the filter off.
 
     Parameters
     ----------
     values : (n_samples, n_channels) array
         The signal.
     size : int
-        Odd; 1 changes nothing.
+        Number of samples, odd; 1 changes nothing.
 
     Returns
     -------
     (n_samples, n_channels) array
-        Filtered; the ``size // 2`` samples at each end are kept as they are.
+        Filtered signal; the ``size // 2`` samples at each end are unchanged.
 
     Raises
     ------
     UsageError
-        When `size` is not odd and positive, or longer than the signal.
+        When `size` is not odd and positive, or when it is longer than the signal.
     """
     if size < 1 or size % 2 == 0:
         raise UsageError(f"median = {size}; give an odd number of samples, 1 for none")
@@ -48,10 +48,10 @@ def running_median(values: FloatArray, size: int) -> FloatArray:
 
 
 def count_spikes(before: FloatArray, after: FloatArray) -> tuple[int, ...]:
-    """Count the samples per channel that a filter moved further than noise explains.
+    """Return the number of samples per channel that a filter moved further than noise explains.
 
-    The measure is 5 robust standard deviations (from the median of magnitudes) of how far a sample lies from
-    the middle of its two neighbours, which noise and curvature determine and single spikes do not.
+    The threshold is 5 robust standard deviations (from the median of magnitudes) of the distance between a sample and
+    the middle of its two neighbours. Noise and curvature determine this distance, single spikes do not change it.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def count_spikes(before: FloatArray, after: FloatArray) -> tuple[int, ...]:
         return tuple(0 for _ in before.T)
     off_middle = before[1:-1] - (before[:-2] + before[2:]) / 2
     sigma = 1.4826 * np.median(np.abs(off_middle), axis=0)
-    # Coarsely quantised signals are at rest more than half of the time, which says nothing of their noise.
+    # A coarsely quantised signal is constant more than half of the time; then its median of magnitudes is zero.
     sigma = np.where(sigma > 0, sigma, off_middle.std(axis=0))
     moved = np.abs(after - before) > SPIKE_SIGMAS * sigma
     return tuple(int(np.count_nonzero(column)) for column in moved.T)

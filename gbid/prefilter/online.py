@@ -1,4 +1,4 @@
-"""The prefilter sample by sample, as a controller needs it: same numbers as the offline filter, bit for bit."""
+"""Online prefilter for a controller, sample by sample, with the same results as the offline filter, bit for bit."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from gbid.prefilter.runout import RunoutMap
 
 
 class OnlinePrefilter:
-    """Run-out map, fixed offset and median on one sample at a time (paper, Sec. 3.5 and conclusion: "online").
+    """Online prefilter: run-out map, constant offset and median, one sample at a time (paper, Sec. 3.5 and conclusion).
 
-    The numbers are those of `gbid.prefilter` on the whole recording, to the last bit, with two differences that no
-    filter without a view of the future can avoid:
+    The results are those of `gbid.prefilter` on the whole recording, to the last bit, with two differences that every
+    causal filter has:
 
-    - The median of 3 needs the sample after. `step` therefore gives the value that belongs to ``median // 2``
-      samples ago, one sample (0.2 ms) for the paper's median of 3, none for ``median=1``. The first
-      ``median // 2`` calls give None; `finish` gives the values still held back.
-    - The mean of a recording is known only at its end. Online it is a fixed `offset`: by default zero, which
-      leaves the map's own mean as the zero, and equals the offline filter with ``remove_mean=False``. With
-      ``offset=report.offsets["p"]`` of an earlier recording it repeats what was removed from that one.
+    - The median of 3 needs the next sample. `step` therefore returns the value of ``median // 2`` samples ago: one
+      sample (0.2 ms) for the median of 3 in the paper, none for ``median=1``. The first ``median // 2`` calls return
+      None. `finish` returns the remaining values.
+    - The mean of a recording is known only at its end. Online it is replaced by a constant `offset`. The default zero
+      makes the mean of the map the zero and equals the offline filter with ``remove_mean=False``. With
+      ``offset=report.offsets["p"]`` of an earlier recording the same mean is removed as from that one.
 
     Parameters
     ----------
     runout_map : RunoutMap or None
-        From `gbid.identify_runout` at the operating point at hand; None removes no run-out.
+        Map from `gbid.identify_runout` at the present operating point; None removes no run-out.
     offset : (n_channels,) array, optional
-        Taken off after the map [m]; zero by default.
+        Offset that is subtracted after the map [m]; zero by default.
     median : int
         Size of the median, odd; 1 for none.
 
     Raises
     ------
     UsageError
-        When `median` is not odd and positive, or `offset` does not fit the map's channels.
+        When `median` is not odd and positive, or when `offset` does not fit the channels of the map.
 
     Examples
     --------
@@ -62,34 +62,34 @@ class OnlinePrefilter:
 
     @property
     def delay(self) -> int:
-        """Samples by which the output is late: half the size of the median, rounded down."""
+        """Delay of the output in samples: half the size of the median, rounded down."""
         return self._half
 
     def start(self) -> None:
-        """Forget all earlier samples."""
+        """Reset the filter and forget all earlier samples."""
         self._window.clear()
         self._count = 0
 
     def step(self, position: Sequence[float] | FloatArray, angle: float | None) -> FloatArray | None:
-        """Take in one sample.
+        """Return the filtered position after one more sample.
 
         Parameters
         ----------
         position : (n_channels,) sequence of float
-            Disc position as measured [m].
+            Measured disc position [m].
         angle : float or None
-            Shaft angle [rad], wrapped or not; None is allowed where the map needs none.
+            Shaft angle [rad], wrapped or not; None is allowed when the map needs no angle.
 
         Returns
         -------
         (n_channels,) array or None
-            The filtered position of `delay` samples ago [m]; None while there is none yet.
+            The filtered position of `delay` samples ago [m]; None for the first samples.
 
         Raises
         ------
         DataError
-            When a number is not finite, the channels do not fit the map, or the angle is missing. The state stays
-            as it was, so that the caller may leave the sample out and go on.
+            When a number is not finite, when the channels do not fit the map, or when the angle is missing. The state
+            is not changed, so the caller may leave the sample out and go on.
         """
         newest = self._without_runout(np.asarray(position, dtype=float), angle)
         self._window.append(newest)
@@ -101,12 +101,12 @@ class OnlinePrefilter:
         return np.asarray(np.sort(np.array(self._window), axis=0)[self._half])
 
     def finish(self) -> list[FloatArray]:
-        """Give the values still held back, unfiltered by the median as the ends are offline, and start anew.
+        """Return the remaining values and reset the filter; as offline, the median does not change these last samples.
 
         Returns
         -------
         list of (n_channels,) array
-            At most `delay` of them, the oldest first.
+            At most `delay` values, the oldest first [m].
         """
         held = min(self._half, self._count)
         rest = list(self._window)[len(self._window) - held :]

@@ -1,4 +1,4 @@
-"""Make measured signals fit for a linear model (paper, Sec. 3.5)."""
+"""Prefilter that prepares measured signals for a linear model (paper, Sec. 3.5)."""
 
 from __future__ import annotations
 
@@ -19,32 +19,32 @@ _NO_MEAN = ("phi", "force")  # an angle and an impact have no offset to remove
 
 @dataclass(frozen=True, eq=False)
 class PrefilterReport:
-    """What the prefilter took out of one recording.
+    """Report of the prefilter about one recording: what was removed.
 
     Attributes
     ----------
     name : str
         Name of the recording.
     channels : dict of str to tuple of str
-        Channel names of the recording's signals, without angle and force.
+        Channel names of the signals of the recording, without angle and force.
     rms_before, rms_after : dict of str to (n_channels,) array
-        Root mean square of each of these signals about its mean, in the signal's unit.
+        Root mean square of each of these signals about its mean, in the unit of the signal.
     offsets : dict of str to (n_channels,) array
-        Means removed, zeros when none were. For the position it is what is left after the map, whose own mean is in
-        `RunoutMap.mean`.
+        Removed means; zero when no means were removed. For the position it is the mean after the map. The mean of the
+        map itself is `RunoutMap.mean`.
     runout_share : (n_channels,) array
-        Part of the variance of p that the run-out map took out; zero without a map, negative when the map
-        made it worse.
+        Share of the variance of p that the run-out map removed. It is zero without a map, and negative when the map
+        increased the variance.
     harmonics : (n_orders, n_channels) array
-        Amplitudes of the map's harmonics 1, 2, ... [m]; no rows without a map or for a shaft at rest.
+        Amplitudes of the harmonics 1, 2, ... of the map [m]; no rows without a map or for a shaft at rest.
     spikes : tuple of int
-        Samples per channel of p that the median moved by more than 5 robust standard deviations.
+        Number of samples per channel of p that the median moved by more than 5 robust standard deviations.
     median : int
         Size of the median filter, 1 for none.
     map_sources : tuple of str
-        Recordings the map was made from.
+        Recordings from which the map was made.
     notes : tuple of str
-        What a reader should know, e.g. that a map of a shaft at rest is only a mean.
+        Remarks, e.g. that a map of a shaft at rest is only a mean.
     """
 
     name: str
@@ -69,43 +69,44 @@ def prefilter(
     remove_mean: bool = True,
     any_condition: bool = False,
 ) -> tuple[Recording, PrefilterReport]:
-    """Remove run-out and unbalance response, offsets and spikes.
+    """Return a recording without run-out, unbalance response, offsets and spikes, and a report.
 
-    In this order: ``p = p_raw - F_r(phi)``; the means of all signals but angle and force; the median on p alone.
-    The paper speaks of the mean disc position only. A linear model from u to p (Eq. 6) or r to u (Eq. 14) has no
-    constant term, so the mean of its input goes as well; without noise and filters the means of one recording still
-    fit the static gain to within what the ends of the record contribute, some nanometres in 5 s.
+    The order is: ``p = p_raw - F_r(phi)``; subtract the means of all signals but angle and force; apply the median to
+    p. The paper removes the mean of the disc position only. A linear model from u to p (Eq. 6) or from r to u (Eq.
+    14) has no constant term, so the mean of its input must be removed as well. Without noise and filters, the means
+    of one recording agree with the static gain up to the effect of the ends of the record, which is some nanometres
+    in 5 s.
 
-    The median colours white noise and cuts crests, see `running_median`; ``median=1`` switches it off.
+    The median colours white noise and reduces crests, see `running_median`. ``median=1`` switches it off.
 
     Parameters
     ----------
     rec : Recording
-        With p, and phi when the map varies with the angle; r and u when there.
+        Recording with p, and with phi when the map depends on the angle; r and u may be missing.
     runout_map : RunoutMap, optional
-        From `identify_runout` at the same operating point. Without one no run-out is removed.
+        Map from `identify_runout` at the same operating point. Without a map no run-out is removed.
     position : str
-        Name of the measured position: p, or what a rig of one's own calls it.
+        Name of the measured position, ``"p"`` on the published rig.
     median : int
         Size of the median filter on the position, odd; 1 for none.
     remove_mean : bool
         Whether the means are removed.
     any_condition : bool
-        Take a map from another operating point; the report notes it.
+        Whether a map from another operating point is accepted; the report notes it.
 
     Returns
     -------
     Recording
-        The same signals, filtered; phi and others untouched.
+        The filtered signals; phi and other signals are unchanged.
     PrefilterReport
-        What was taken out.
+        What was removed.
 
     Raises
     ------
     UsageError
-        For a median size that is not odd.
+        When the size of the median is not odd.
     DataError
-        When p or phi is missing, phi does not fit the speed, or map and recording differ in channels or
+        When p or phi is missing, when phi does not fit the speed, or when map and recording differ in channels or
         operating point.
     """
     if position not in rec.signals:
@@ -153,7 +154,7 @@ def prefilter(
 def _without_runout(
     rec: Recording, position: str, runout_map: RunoutMap, any_condition: bool, notes: list[str]
 ) -> FloatArray:
-    """Disc position less the map at the recorded angles."""
+    """Return the position minus the map at the recorded angles."""
     p = rec.signal(position)
     if rec.channels[position] != runout_map.channels:
         raise DataError(

@@ -1,4 +1,4 @@
-"""The run-out map: what the disc sensors show of a shaft that turns while the piezos are still."""
+"""Run-out map: sensor reading over the shaft angle while the piezos are at rest."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ TURN = 2 * np.pi
 
 @dataclass(frozen=True, eq=False)
 class RunoutMap:
-    r"""Run-out and unbalance response over the shaft angle, the filter F_r(phi) of the paper's Sec. 3.5.
+    r"""Map of run-out and unbalance response over the shaft angle, the filter F_r(phi) of Sec. 3.5 of the paper.
 
-    As harmonics, :math:`F(\phi) = m + \sum_n a_n \cos n\phi + b_n \sin n\phi`, or as a table over the
-    angle with straight lines between its entries. Made by `identify_runout`.
+    It has the form of harmonics, :math:`F(\phi) = m + \sum_n a_n \cos n\phi + b_n \sin n\phi`, or of a table over the
+    angle with linear interpolation. It is made by `identify_runout`.
 
     Attributes
     ----------
@@ -31,21 +31,21 @@ class RunoutMap:
     cosine, sine : (n_orders, n_channels) array
         a and b [m].
     angles : (n_angles,) array
-        Angles of the table within [0, 2 pi) [rad], rising; empty unless the method is ``"bins"``.
+        Angles of the table within [0, 2 pi) [rad], ascending; empty unless the method is ``"bins"``.
     table : (n_angles, n_channels) array
         Deviation from the mean at these angles [m].
     channels : tuple of str
         Names of the channels.
     conditions : dict of str to float
-        Operating point the map holds for.
+        Operating point of the map.
     sources : tuple of str
-        Names of the recordings it was made from.
+        Names of the recordings from which it was made.
     turns : float
-        Turns of the shaft it was made from.
+        Number of turns of the shaft in these recordings.
     rms_before, rms_after : (n_channels,) array
-        Root mean square about the mean of these recordings, and of what the map leaves of them [m].
+        Root mean square of these recordings about their mean, before and after the map [m].
     notes : tuple of str
-        What a reader of the result should know.
+        Remarks for the reader of the result.
     """
 
     method: str
@@ -65,11 +65,11 @@ class RunoutMap:
 
     @property
     def needs_angle(self) -> bool:
-        """Whether the map varies with the angle; one of a shaft at rest is the mean alone."""
+        """Whether the map depends on the angle; the map of a shaft at rest is the mean alone."""
         return self.method != "mean"
 
     def evaluate(self, phi: FloatArray) -> FloatArray:
-        """Value of the map.
+        """Return the map at given shaft angles.
 
         Parameters
         ----------
@@ -79,7 +79,7 @@ class RunoutMap:
         Returns
         -------
         (n, n_channels) array
-            F_r(phi), the mean included [m].
+            F_r(phi) with the mean [m].
         """
         value = np.tile(self.mean, (len(phi), 1))
         if self.orders.size:
@@ -90,11 +90,9 @@ class RunoutMap:
         return value
 
     def _add_harmonics(self, phi: FloatArray, value: FloatArray) -> None:
-        """Add the sines and cosines, by angle addition from order to order.
-
-        A matrix product would round differently for one angle than for many; sums and products one by one do not, so
-        that what is filtered sample by sample is the same to the last bit.
-        """
+        """Add the harmonics by angle addition, with rounding that does not depend on the number of angles."""
+        # The online filter calls this with one angle, the offline filter with many. A matrix product would round
+        # differently in the two cases; products and sums one by one give the same bits.
         cos_1, sin_1 = np.cos(phi), np.sin(phi)
         cos_n, sin_n = cos_1, sin_1
         coefficients = {int(order): (a, b) for order, a, b in zip(self.orders, self.cosine, self.sine, strict=True)}
@@ -106,12 +104,12 @@ class RunoutMap:
                     value[:, channel] += cos_n * a + sin_n * b
 
     def amplitudes(self, n_orders: int = 10) -> FloatArray:
-        """Amplitudes of the harmonics 1, 2, ... of the map.
+        """Return the amplitudes of the harmonics 1, 2, ... of the map.
 
         Parameters
         ----------
         n_orders : int
-            How many; a map of harmonics gives those it has.
+            Number of harmonics for a table; a map of harmonics returns its own.
 
         Returns
         -------
@@ -127,19 +125,19 @@ class RunoutMap:
         return np.zeros((0, len(self.mean)))
 
     def check_conditions(self, name: str, conditions: Mapping[str, float]) -> None:
-        """Refuse a recording from another operating point than the map's.
+        """Refuse a recording at another operating point than that of the map.
 
         Parameters
         ----------
         name : str
-            Of the recording, for the message.
+            Name of the recording, for the message.
         conditions : dict of str to float
-            Of the recording.
+            Operating point of the recording.
 
         Raises
         ------
         DataError
-            Naming the condition and both values.
+            When a condition differs; the text gives both values.
         """
         key = differing_condition(self.conditions, conditions)
         if key:
@@ -151,7 +149,7 @@ class RunoutMap:
 
 
 def differing_condition(one: Mapping[str, float], other: Mapping[str, float]) -> str | None:
-    """Name the scheduling variable in which two operating points differ by more than 1 %, None if none."""
+    """Return the scheduling variable in which two operating points differ by more than 1 %, or None."""
     for key in ("pressure_bar", "speed_rpm"):
         a, b = one.get(key), other.get(key)
         if (a is None) != (b is None):

@@ -1,4 +1,4 @@
-"""What a recording says about its shaft: whether it turns, and whether that fits its conditions."""
+"""Shaft angle of a recording: whether the shaft turns, and whether this fits the stated speed."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class ShaftMotion(NamedTuple):
     Attributes
     ----------
     angle : (n_samples,) array
-        As measured [rad], wrapped or not.
+        Measured angle [rad], wrapped or not.
     turns : float
-        Turns made during the recording, zero for a shaft that stands still.
+        Number of turns during the recording; zero for a shaft at rest.
     """
 
     angle: FloatArray
@@ -30,12 +30,12 @@ class ShaftMotion(NamedTuple):
 
 
 def shaft_motion(rec: Recording) -> ShaftMotion:
-    """Read the shaft angle phi and hold it against the speed the recording claims.
+    """Return the shaft angle phi, after a comparison with the stated speed.
 
     Parameters
     ----------
     rec : Recording
-        With signal phi (one channel, rad); condition ``speed_rpm`` is compared when there.
+        Recording with the signal phi (one channel, rad). The condition ``speed_rpm`` is compared when it is given.
 
     Returns
     -------
@@ -45,8 +45,8 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
     Raises
     ------
     DataError
-        When phi is missing or has more than one channel, the shaft makes less than one turn without standing
-        still, or phi turns at another speed than ``speed_rpm`` (2 %).
+        When phi is missing or has more than one channel, when a moving shaft makes less than one turn, or when phi
+        turns at another speed than ``speed_rpm`` (2 %).
     """
     if "phi" not in rec.signals:
         raise DataError(f"recording {rec.name!r} has no signal 'phi'; the run-out map needs the shaft angle [rad]")
@@ -58,10 +58,10 @@ def shaft_motion(rec: Recording) -> ShaftMotion:
     turns = 0.0 if np.ptp(course) < _STILL else abs(float(course[-1] - course[0])) / (2 * np.pi)
     claimed = rec.conditions.get("speed_rpm")
     if claimed is not None:
-        found = 60.0 * turns / max((rec.n_samples - 1) * rec.sample_time, rec.sample_time)
-        if abs(found - abs(claimed)) > _SPEED_TOLERANCE * abs(claimed) + 1e-9:
+        measured = 60.0 * turns / max((rec.n_samples - 1) * rec.sample_time, rec.sample_time)
+        if abs(measured - abs(claimed)) > _SPEED_TOLERANCE * abs(claimed) + 1e-9:
             raise DataError(
-                f"recording {rec.name!r}: phi turns at {found:.1f} rpm, but speed_rpm = {claimed:g}; "
+                f"recording {rec.name!r}: phi turns at {measured:.1f} rpm, but speed_rpm = {claimed:g}; "
                 "check the encoder and the condition"
             )
     if 0.0 < turns < 1.0:

@@ -1,4 +1,4 @@
-"""Recordings: the data object, its HDF5 store, importers, and checks of their quality."""
+"""Recordings: the data type, its HDF5 store, importers and quality checks."""
 
 from gbid.arrays import FloatArray
 from gbid.recording.importers import ImportMapping, SignalMapping, import_recording

@@ -1,4 +1,4 @@
-"""What is wrong with a recording although it is well formed."""
+"""Quality checks of a recording: constant, saturated, dead and swapped channels, rub, encoder and clock."""
 
 from __future__ import annotations
 
@@ -15,49 +15,50 @@ from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
 from gbid.recording.recording import Recording
 
 MIN_SAMPLES = 100
-"""Fewer samples than this identify nothing."""
+"""Smallest number of samples that can be used for identification."""
 MIN_RUN = 5
-"""Samples in a row at the extreme value that count as a stay there."""
+"""Number of consecutive samples at the extreme value that make a run."""
 MAX_STAY = 0.01
-"""Share of the samples in such stays above which a channel is called saturated."""
+"""A channel is called saturated when a larger share of its samples lies in such runs."""
 FEW_LEVELS = 16
-"""A channel with no more distinct values is a test signal with levels (PRBS), not a clipped one."""
+"""A channel with at most this number of distinct values is a test signal with levels (PRBS), not a clipped signal."""
 PILE = 5.0
-"""A clipped level holds this many times the samples of the level next to it. The crest of a sine read by a
-coarse converter holds at most 1 / (sqrt(2) - 1) = 2.4 times as many, whatever its amplitude."""
+"""A clipped level occurs at least this many times as often as the level next to it. The crest of a sine that is read
+by a coarse converter occurs at most 1 / (sqrt(2) - 1) = 2.4 times as often, at any amplitude."""
 
 
 def find_problems(
     rec: Recording, signals: Iterable[str] | None = None, kinds: Sequence[ProblemKind] | None = None
 ) -> list[SignalProblem]:
-    """Look for channels that carry no information or a wrong one.
+    """Return the quality problems of a recording.
 
-    A channel is constant when all its samples are equal. It is saturated when more than 1 % of the samples
-    lie exactly at its largest or smallest value in runs of at least five, that value is piled up against the
-    value next to it, and the channel takes more than 16 distinct values.
+    A channel is constant when all its samples are equal. It is saturated when three conditions hold: more than 1 % of
+    the samples are exactly at its largest or smallest value in runs of at least five; this value is much more
+    frequent than the next one; and the channel takes more than 16 distinct values.
 
-    In recordings of r, u and p with moving piezos, u and p must answer, and each axis more to its own reference than
-    to the other (`gbid.recording.quality_answer`); p must not show impacts (`gbid.recording.quality_rub`); phi must
-    turn without jumps and at the speed claimed (`gbid.recording.quality_time`). None of this needs a model.
+    Recordings of r, u and p with moving piezos get further checks. u and p must respond to the reference, and each
+    axis more to its own reference than to the other (`gbid.recording.quality_answer`). p must not show impacts on the
+    bearing (`gbid.recording.quality_rub`). phi must turn without jumps and at the stated speed
+    (`gbid.recording.quality_time`). No check needs a model.
 
     Parameters
     ----------
     rec : Recording
         The recording.
     signals : iterable of str, optional
-        Names of the signals to look at; all by default. A shaft angle is rightly constant at standstill.
+        Names of the signals to check; all by default. A shaft angle may be constant at standstill.
     kinds : collection of str, optional
         Kinds of problems to look for; all by default.
 
     Returns
     -------
     list of SignalProblem
-        Empty when nothing was found.
+        Empty when there are no problems.
 
     Raises
     ------
     DataError
-        When the recording has no signal of a name given.
+        When the recording has no signal of a given name.
     """
     problems: list[SignalProblem] = []
     looked_at = list(rec.signals if signals is None else signals)
@@ -93,14 +94,14 @@ def find_problems(
 
 
 def _find_rub(rec: Recording) -> Iterator[SignalProblem]:
-    """Find a rub; an angle that jumps explains nothing, so it is left aside."""
+    """Find a rub, without the shaft angle when the encoder has faults."""
     if "phi" in rec.signals and any(find_encoder_faults(rec)):
         rec = replace(rec, signals={name: values for name, values in rec.signals.items() if name != "phi"})
     return find_rub(rec)
 
 
 _Finder = tuple[tuple[str, ...], tuple[ProblemKind, ...], Callable[[Recording], Iterator[SignalProblem]]]
-# Signals that each is about (none: the whole recording), and the kinds that it finds.
+# For each check: the signals it concerns (none: the whole recording), the kinds of problems, and the function.
 _FINDERS: tuple[_Finder, ...] = (
     (("r", "u", "p"), ("dead", "swapped"), find_answer_problems),
     (("p",), ("rub",), _find_rub),
@@ -114,20 +115,20 @@ def _with_unit(value: float, unit: str) -> str:
 
 
 def _stays(column: FloatArray) -> dict[float, int]:
-    """Count the samples in long runs at the extreme values, empty when the channel is not saturated."""
+    """Return the number of samples in long runs at each extreme value; empty when the channel is not saturated."""
     levels, counts = np.unique(column, return_counts=True)
     if len(levels) <= FEW_LEVELS:
         return {}
-    found = {}
+    stays = {}
     for extreme, neighbour in ((0, 1), (-1, -2)):
         stay = _in_long_runs(column == levels[extreme])
         if stay and counts[extreme] > PILE * counts[neighbour]:
-            found[float(levels[extreme])] = stay
-    return found if sum(found.values()) > MAX_STAY * len(column) else {}
+            stays[float(levels[extreme])] = stay
+    return stays if sum(stays.values()) > MAX_STAY * len(column) else {}
 
 
 def _in_long_runs(at: BoolArray) -> int:
-    """Count the true entries in runs of at least MIN_RUN."""
+    """Return the number of true entries in runs of at least MIN_RUN."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
     lengths = edges[1::2] - edges[::2]
     return int(lengths[lengths >= MIN_RUN].sum())

@@ -1,8 +1,8 @@
-"""Whether the sensors answer the excitation, and the right one: dead sensors and swapped channels.
+"""Check that the sensors respond to the excitation: dead sensors and swapped channels.
 
-No model enters. From segments of the recording the frequency response H of all outputs to all inputs that move is
-estimated where the inputs have their power, and with it the multiple coherence, the share of an output that the
-inputs explain.
+No model is used. The frequency response H from all moving inputs to all outputs is estimated from segments of the
+recording, at the frequencies where the inputs have power. The multiple coherence follows from it: the share of an
+output that the inputs explain.
 """
 
 from __future__ import annotations
@@ -18,35 +18,35 @@ from gbid.recording.quality_problem import SignalProblem
 from gbid.recording.recording import Recording
 
 SEGMENTS = (10, 20)
-"""Fewest and most parts of the recording; its spectra are averages over them."""
+"""Smallest and largest number of segments over which the spectra are averaged."""
 GOOD_SEGMENT, MIN_SEGMENT = 500, 50
-"""Samples of a segment that are enough, and those that are needed."""
+"""Preferred and smallest number of samples in a segment."""
 POWER = 0.9
-"""Share of the input power whose frequencies are looked at."""
+"""Share of the input power that lies in the evaluated frequencies."""
 CROSSED = 1.5
-"""Cross gains larger than the direct ones both ways, by this factor in the geometric mean, are swapped channels. At the
-15 operating points of the published machine the cross gains are at most 0.2 of the direct ones."""
+"""Channels are swapped when both cross gains are larger than the direct gains, by this factor in the geometric mean. At
+the 15 operating points of the published machine the cross gains are at most 0.2 of the direct ones."""
 CHANCE = 0.95
 """Quantile of the coherence of unrelated signals at one frequency; the median of several stays below it."""
 SYNCHRONOUS = 2
-"""Harmonics of the shaft's angle that are taken off first."""
+"""Number of harmonics of the shaft angle that are removed first."""
 _MOVES = 1e-3  # of the largest standard deviation of the inputs
 
 
 class _Answer(NamedTuple):
-    """How outputs answer inputs, over the band of the inputs."""
+    """Response of the outputs to the inputs, over the band of the inputs."""
 
     gain: FloatArray  # rms of |H|, weighted by input power, (n_outputs, n_inputs); NaN for inputs that do not move
     coherence: FloatArray  # median of the multiple coherence, (n_outputs,)
-    chance: float  # what unrelated signals reach
+    chance: float  # coherence of unrelated signals
 
 
 def find_answer_problems(rec: Recording) -> Iterator[SignalProblem]:
-    """Find sensors of u and p that do not answer, and swapped channels, in a recording with moving piezos.
+    """Return dead sensors of u and p, and swapped channels, in a recording with moving piezos.
 
-    The chain is r to u to p. Against r, as commanded, u and p are checked; without r, p is checked against u, and then
-    it cannot be told which of the two is swapped. Nothing is found in a recording whose inputs do not move, and nothing
-    about signals with other channels than x and y.
+    The signal chain is r to u to p. With r, both u and p are checked against it. Without r, p is checked against u, and
+    then it stays open which of the two is swapped. A recording whose inputs do not move has no such problems. Signals
+    with other channels than x and y are not checked.
     """
     chain = [name for name in ("r", "u", "p") if name in rec.signals and rec.channels[name] == ("x", "y")]
     if len(chain) < 2:
@@ -65,11 +65,11 @@ def find_answer_problems(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def _swapped(rec: Recording, chain: list[str], swapped: list[str]) -> SignalProblem:
-    """Name the signal whose channels are exchanged, as far as the others tell."""
+    """Return the problem, with the signal whose channels are swapped as far as the other signals show it."""
     source, followers = chain[0], chain[1:]
     if swapped != followers:
         name, which, other = swapped[0], f"signal {swapped[0]!r}", source
-    elif len(followers) > 1:  # all that follow the source are crossed alike: it is the source itself
+    elif len(followers) > 1:  # all the others are crossed, so the source itself is swapped
         name, which, other = source, f"signal {source!r}", followers[-1]
     else:
         name, which, other = followers[0], f"either {source!r} or {followers[0]!r}", source
@@ -84,12 +84,12 @@ def _dead(rec: Recording, source: str, name: str, answer: _Answer) -> Iterator[S
     for j, channel in enumerate(rec.channels[name]):
         values = rec.signal(name)[:, j]
         if values.min() == values.max() or np.isnan(answer.gain[0, j]):
-            continue  # constant is a problem of its own; an axis that does not move tells nothing of its sensor
+            continue  # constant channels are reported elsewhere; an axis at rest cannot be tested
         if answer.coherence[j] < answer.chance:
             text = (
-                f"recording {rec.name!r}: signal {name!r} channel {channel!r} is dead: it does not answer {source!r} "
-                f"(coherence {answer.coherence[j]:.2f}; signals without relation reach {answer.chance:.2f}); check the "
-                "sensor, its cable and the column of the mapping."
+                f"recording {rec.name!r}: signal {name!r} channel {channel!r} is dead: it does not respond to "
+                f"{source!r} (coherence {answer.coherence[j]:.2f}; unrelated signals reach {answer.chance:.2f}); "
+                "check the sensor, its cable and the column of the mapping."
             )
             yield SignalProblem(name, channel, "dead", text)
 
@@ -106,7 +106,7 @@ def _crossed(answer: _Answer) -> bool:
 
 
 def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
-    """Estimate gain and coherence; None when no input moves or the recording is too short."""
+    """Return estimated gain and coherence, or None when no input moves or the recording is too short."""
     n_segments = int(np.clip(len(inputs) // GOOD_SEGMENT, *SEGMENTS))
     std = inputs.std(axis=0)
     if len(inputs) < n_segments * MIN_SEGMENT or std.max() == 0:
@@ -120,7 +120,7 @@ def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
     order = np.argsort(power)[::-1]
     band = order[: max(3, int(np.searchsorted(np.cumsum(power[order]), POWER * power.sum())) + 1)]
     s_uu, s_yu, s_yy = s_uu[band], s_yu[band], s_yy[band]
-    ridge = 1e-9 * power[band].max() * np.eye(len(moving))  # inputs that are one and the same signal
+    ridge = 1e-9 * power[band].max() * np.eye(len(moving))  # for inputs that are identical signals
     h = np.linalg.solve((s_uu + ridge).transpose(0, 2, 1), s_yu.transpose(0, 2, 1)).transpose(0, 2, 1)
     explained = np.einsum("fij,fij->fi", h, s_yu.conj()).real
     coherence = np.divide(explained, s_yy, out=np.zeros_like(s_yy), where=s_yy > 0)
@@ -132,12 +132,12 @@ def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
 
 
 def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:
-    """Take off what follows the shaft angle, which in short records leaks into the frequencies of the excitation."""
+    """Remove the part that follows the shaft angle; in short recordings it leaks into the band of the excitation."""
     if "phi" not in rec.signals:
         return values
     phi = rec.signal("phi")[:, 0]
     turned = np.exp(1j * phi)
-    if abs(turned.mean()) > 0.1:  # still, or less than some turns
+    if abs(turned.mean()) > 0.1:  # at rest, or only a few turns
         return values
     rest = values - values.mean(axis=0)
     for order in range(1, SYNCHRONOUS + 1):
@@ -147,7 +147,7 @@ def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:
 
 
 def _spectra(values: FloatArray, n_segments: int) -> FloatArray:
-    """Fourier coefficients of Hann-windowed segments without the lowest frequency, (n_segments, n_frequencies, n)."""
+    """Return Fourier coefficients of Hann-windowed segments without zero frequency, (n_segments, n_frequencies, n)."""
     length = len(values) // n_segments
     parts = values[: length * n_segments].reshape(n_segments, length, -1)
     parts = parts - parts.mean(axis=1, keepdims=True)

@@ -1,4 +1,4 @@
-"""What is wrong with recordings only beside each other: one content under two names, one clock unlike the others."""
+"""Quality checks across recordings: equal content under two names, and a sample time unlike the others."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gbid.recording.quality_problem import SignalProblem
 from gbid.recording.recording import Recording
 
 MAX_LEVELS = 4
-"""A command with no more distinct values is a test signal that is held (PRBS)."""
+"""A command with at most this number of distinct values is a test signal with held levels (PRBS)."""
 
 
 def content_digest(rec: Recording) -> str:
-    """Return sha256 of all signals, bit for bit, whatever the recording is called."""
+    """Return the sha256 of all signals, bit for bit; it does not depend on the name of the recording."""
     digest = hashlib.sha256()
     for name in sorted(rec.signals):
         digest.update(f"{name}{rec.signal(name).shape}".encode())
@@ -25,21 +25,21 @@ def content_digest(rec: Recording) -> str:
 
 
 def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[SignalProblem]]:
-    """Compare recordings of one experiment.
+    """Return the problems that show only when the recordings of one experiment are compared.
 
-    Two with the same samples are one recording, of which the second is named. And where most recordings hold their
-    command r for the same time, one that holds it for the same number of samples but another time has a wrong
+    Two recordings with equal samples are duplicates; the second one is reported. When most recordings hold their
+    command r for the same time, a recording that holds it for the same number of samples but another time has a wrong
     sample time.
 
     Parameters
     ----------
     recordings : iterable of Recording
-        They are looked at one after the other; a generator keeps memory small.
+        They are read one after the other, so a generator saves memory.
 
     Returns
     -------
     dict of str to list of SignalProblem
-        By name of the recording; only those with problems.
+        By name of the recording; only recordings with problems are listed.
     """
     first: dict[str, str] = {}
     holds: dict[str, tuple[int, float]] = {}
@@ -62,7 +62,7 @@ def find_group_problems(recordings: Iterable[Recording]) -> dict[str, list[Signa
 
 
 def _hold(rec: Recording) -> int:
-    """Count the samples for which a command with few levels is held, at least; 0 when there is none."""
+    """Return the smallest number of samples for which a command with few levels is held; 0 without such a command."""
     if "r" not in rec.signals:
         return 0
     shortest = []
@@ -74,7 +74,7 @@ def _hold(rec: Recording) -> int:
 
 
 def _odd_clocks(holds: dict[str, tuple[int, float]]) -> list[tuple[str, str]]:
-    """Find recordings whose command is held for as many samples as most others' but for another time."""
+    """Return recordings whose command is held for the usual number of samples but for another time, with a text."""
     times = Counter(f"{samples * step:.6g}" for samples, step in holds.values())
     if not times:
         return []

@@ -1,4 +1,4 @@
-"""One thing that is wrong with a recording."""
+"""One quality problem of a recording."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ ProblemKind = Literal[
 
 @dataclass(frozen=True)
 class SignalProblem:
-    """One thing that is wrong with a recording.
+    """One quality problem of a recording.
 
     Attributes
     ----------
     signal, channel : str
-        Where; both empty when it concerns the whole recording, the channel when it concerns all of them.
+        Place of the problem. Both are empty when it concerns the whole recording; `channel` is empty when it concerns
+        all channels.
     kind : str
         ``"constant"``, ``"saturated"``, ``"too_few_samples"``, ``"swapped"`` (channels x and y), ``"dead"`` (a sensor
-        that does not answer), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"`` or
+        that does not respond), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"`` or
         ``"duplicate"``.
     text : str
         One sentence with the numbers and what to do.

@@ -1,4 +1,4 @@
-"""Whether the rotor touched the bearing: sudden turns of its motion at the outside."""
+"""Check for contact of rotor and bearing: sudden changes of velocity far from the centre."""
 
 from __future__ import annotations
 
@@ -12,41 +12,42 @@ from gbid.recording.quality_problem import SignalProblem
 from gbid.recording.recording import Recording
 
 OUTSIDE = 0.7
-"""Impacts are looked for beyond this share of the largest radius."""
+"""Impacts are searched beyond this share of the largest radius."""
 SIGMAS = 6.0
-"""Robust standard deviations by which an impact changes the velocity inwards ..."""
+"""Smallest inward change of velocity by an impact, in robust standard deviations."""
 LEAST = 0.25
-"""... and share of the usual velocity (rms) that it is at least."""
+"""Smallest inward change of velocity by an impact, over the rms of the velocity."""
 MIN_IMPACTS = 2
-"""A rotor that rubs bounces; a single kink may be a disturbed sample."""
+"""Smallest number of impacts. A rotor that rubs bounces; a single jump may be a disturbed sample."""
 OVER_OUTWARD = 1.5
-"""Times that it is larger than any change outwards, which no wall makes."""
+"""An impact is larger than any outward change by this factor, because a wall cannot push outwards."""
 HALF_WINDOW_S = 2e-3
-"""Half the time over which the motion is weighed [s]: a quarter of a period of the rotor's modes ..."""
+"""Half the length of the window when u or r is recorded [s]: a quarter of a period of the modes of the rotor."""
 SHORT_S = 0.6e-3
-"""... and where nothing tells what the piezos do: their push grows with this time, an impact's does not."""
-_HARMONICS = 6  # of the shaft angle, which run-out and unbalance make
-_LAGS = (-2, 0, 2, 4, 6, 8)  # samples by which the piezos act earlier
-_EVERY = 3  # sample of those in motion serves for the regression
+"""Half the length of the window without u and r [s]. The effect of the piezos grows with it, that of an impact does
+not."""
+_HARMONICS = 6  # of the shaft angle, for run-out and unbalance
+_LAGS = (-2, 0, 2, 4, 6, 8)  # delays of the piezos in samples
+_EVERY = 3  # every third sample in motion is used for the regression
 _MIN_SAMPLES = 500
-_ROUNDS, _TRIM = 3, 4.0  # of the regression; standard deviations beyond which a sample takes no part in the next
+_ROUNDS, _TRIM = 3, 4.0  # of the regression; larger residuals (in standard deviations) are left out of the next round
 
 
 def find_rub(rec: Recording) -> Iterator[SignalProblem]:
-    r"""Find impacts of the rotor on the bearing in the disc position p.
+    r"""Return impacts of the rotor on the bearing, found in the disc position p.
 
-    On its gas film the disc follows an equation of motion; a wall changes its velocity at once, always inwards and
-    always far from the centre. To see that in noise, the equation is not differentiated but weighed with a smooth
-    window :math:`\psi` of 4 ms: integration by parts gives, around each sample,
+    On its gas film the disc follows an equation of motion. A wall changes its velocity at once, always inwards and
+    always far from the centre. Differentiation would amplify the noise. Therefore the equation is multiplied by a
+    smooth window :math:`\psi` of 4 ms and integrated (weak form). Integration by parts gives, around each sample,
 
     .. math:: \int \ddot\psi p = K \int \psi p - D \int \dot\psi p + B \int \psi u_\tau
               + \int \psi f + \psi(0) \Delta v,
 
     so noise enters with :math:`\ddot\psi`, 13 times less than with second differences over 1 ms. The left side is
-    regressed on the integrals of p, u (or r) at several delays, a cubic film and the harmonics of the shaft angle.
-    What is left, projected inwards, is looked at beyond 0.7 of the largest radius: more than six robust standard
-    deviations are impacts, when there are two at least and no change outwards, away from them, is nearly as large.
-    Single wrong samples are taken out by a median of three first, times of a measured impact force are left out.
+    regressed on the integrals of p, of u (or r) at several delays, of a cubic film, and on the harmonics of the shaft
+    angle. The residual is projected inwards and evaluated beyond 0.7 of the largest radius. Residuals above six robust
+    standard deviations are impacts, when there are at least two and when no outward residual nearby is almost as large.
+    Single wrong samples are removed before by a median of three. Times with a measured impact force are left out.
     """
     known = "u" in rec.signals or "r" in rec.signals
     half = max(3, round((HALF_WINDOW_S if known else SHORT_S) / rec.sample_time))
@@ -76,7 +77,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     reached = np.hypot(*p[hit].T)
     text = (
         f"recording {rec.name!r}: signal 'p' shows a rub: {len(impacts)} impacts at {reached.min() * 1e6:.1f} to "
-        f"{reached.max() * 1e6:.1f} um from the mean position, the first at {hit[0] * rec.sample_time:.4f} s, turn "
+        f"{reached.max() * 1e6:.1f} um from the mean position, the first at {hit[0] * rec.sample_time:.4f} s, push "
         f"the disc back by up to {inward.max() / max(sigma, 1e-300):.0f} standard deviations more than a film does; "
         "lower the excitation and record again, or cut that part away."
     )
@@ -84,7 +85,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:
-    """Weigh the motion around each sample: the second-derivative side, and what a film makes it of linearly."""
+    """Return both sides of the weak form around each sample: the second-derivative side and the regressors."""
     t = np.arange(1 - half, half) / half
     window = (1 + np.cos(np.pi * t)) / 2
     slope, bend = -np.pi / 2 * np.sin(np.pi * t) / half, -(np.pi**2) / 2 * np.cos(np.pi * t) / half**2
@@ -95,7 +96,7 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
     if source:
         moved = rec.signal(source)
         weighed = _weigh(moved - moved.mean(axis=0), window)
-        columns += [np.roll(weighed, lag, axis=0) for lag in _LAGS]  # the ends that this wraps are left out
+        columns += [np.roll(weighed, lag, axis=0) for lag in _LAGS]  # np.roll wraps at the ends, which are left out
     if "phi" in rec.signals and np.ptp(rec.signal("phi")) > 0:
         turned = np.exp(1j * rec.signal("phi")[half - 1 : half - 1 + n, :1])
         for order in range(1, _HARMONICS + 1):
@@ -105,7 +106,7 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
 
 
 def _left(weighed: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
-    """Give what a regression on some samples leaves of all, and its robust standard deviation; impacts do not count."""
+    """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
     for _ in range(_ROUNDS):
         left = weighed - basis @ _least_squares(basis[some], weighed[some])
         size = np.abs(left[some] - np.median(left[some], axis=0))
@@ -115,13 +116,13 @@ def _left(weighed: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) ->
 
 
 def _film(p: FloatArray) -> FloatArray:
-    """Collect what a film adds that stiffens about a centre which is not known."""
+    """Return the regressors of a film that stiffens about an unknown centre."""
     x, y = p.T
     return np.stack([x**2, x * y, y**2, x**3, x**2 * y, x * y**2, y**3], axis=-1)
 
 
 def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> BoolArray:
-    """Mark the samples with no impact near: around one the motion is turned both ways."""
+    """Mark the samples with no impact nearby, because an impact changes the motion on both sides of it."""
     if not hit.size:
         return np.ones(len(at), dtype=bool)
     after = np.searchsorted(hit, at)
@@ -134,13 +135,13 @@ def _weigh(values: FloatArray, window: FloatArray) -> FloatArray:
 
 
 def _in_motion(weighed: FloatArray) -> npt.NDArray[np.int_]:
-    """Keep the samples at which the disc moves: where it rests, noise would decide the regression."""
+    """Return the samples at which the disc moves; samples at rest would let noise decide the regression."""
     energy = np.sum(weighed**2, axis=1)
     return np.flatnonzero(energy > 0.1 * energy.mean())
 
 
 def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
-    """Coefficients by normal equations with a slight ridge: columns may be alike or zero."""
+    """Return the coefficients by normal equations with a small ridge, because columns may be equal or zero."""
     size = np.sqrt(np.mean(basis**2, axis=0))
     size[size == 0] = 1.0
     scaled = basis / size
@@ -149,7 +150,7 @@ def _least_squares(basis: FloatArray, change: FloatArray) -> FloatArray:
 
 
 def _struck(rec: Recording, half: int) -> BoolArray:
-    """Mark the samples whose window a measured force reaches."""
+    """Mark the samples whose window contains a measured force."""
     struck = np.zeros(rec.n_samples, dtype=bool)
     for name in ("f", "force"):
         if name in rec.signals:

@@ -1,4 +1,4 @@
-"""Whether the clock and the shaft encoder are right."""
+"""Checks of the sample time and of the shaft encoder."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from gbid.recording.quality_problem import SignalProblem
 from gbid.recording.recording import Recording
 
 SPEED_TOLERANCE = 0.02
-"""Largest difference of the encoder's speed from the one claimed."""
+"""Largest relative difference between the speed of the encoder and the stated speed."""
 SLIP = np.deg2rad(2.0)
-"""Smallest sudden step of the angle that is called a fault [rad] ..."""
+"""Smallest jump of the angle that is reported [rad]."""
 SLIP_SIGMAS = 10.0
-"""... and how many robust standard deviations of the angle's increments it must exceed."""
-_SMOOTH = 25  # samples whose median is the speed at hand
+"""Smallest jump that is reported, in robust standard deviations of the angle increments."""
+_SMOOTH = 25  # samples of the running median that gives the present speed
 _TURN = 2 * np.pi
 
 
 def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
-    """Find jumps and stops of the shaft angle phi: lost counts, a dropped index, a stuck encoder.
+    """Return jumps and stops of the shaft angle phi: lost counts, a lost index, a blocked encoder.
 
-    The angle's increments from sample to sample, wrapped to half a turn, follow the speed. A single increment far off
-    the median of its neighbours is a jump. A stretch without increments, while the rest turns, is a stop. The wrap
-    from a turn to zero is neither.
+    The increments of the angle from sample to sample, wrapped to half a turn, follow the speed. A single increment
+    far from the median of its neighbours is a jump. A stretch without increments while the rest turns is a stop. The
+    step from a full turn to zero is neither.
     """
     increments = _increments(rec)
     if increments is None:
@@ -57,10 +57,10 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
 
 
 def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
-    """Hold the sample time against the shaft: phi must turn at ``speed_rpm``, within 2 %.
+    """Return a wrong sample time: phi must turn at ``speed_rpm`` within 2 %.
 
-    Which of the two is wrong only the engineer knows; the text gives the sample time that would fit. A shaft that
-    changes its speed (a run-up) is left out.
+    The data cannot show whether the sample time or the speed is wrong. The text gives the sample time that would fit. A
+    recording with changing speed (a run-up) is not checked.
     """
     claimed = rec.conditions.get("speed_rpm")
     increments = _increments(rec)
@@ -70,18 +70,18 @@ def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
     first, last = abs(increments[:quarter].mean()), abs(increments[-quarter:].mean())
     if abs(first - last) > SPEED_TOLERANCE * max(first, last):
         return
-    found = 60 * abs(float(increments.mean())) / _TURN / rec.sample_time
-    if found > 0 and abs(found - abs(claimed)) > SPEED_TOLERANCE * abs(claimed):
+    measured = 60 * abs(float(increments.mean())) / _TURN / rec.sample_time
+    if measured > 0 and abs(measured - abs(claimed)) > SPEED_TOLERANCE * abs(claimed):
         text = (
-            f"recording {rec.name!r}: sample_time = {rec.sample_time:g} s cannot be right: phi turns at {found:.1f} "
-            f"rpm, but speed_rpm = {claimed:g}; a sample time of {rec.sample_time * found / abs(claimed):.4g} s would "
-            "fit, or another speed."
+            f"recording {rec.name!r}: sample_time = {rec.sample_time:g} s cannot be right: phi turns at {measured:.1f} "
+            f"rpm, but speed_rpm = {claimed:g}; a sample time of {rec.sample_time * measured / abs(claimed):.4g} s "
+            "would fit, or another speed."
         )
         yield SignalProblem("", "", "sample_time", text)
 
 
 def _increments(rec: Recording) -> FloatArray | None:
-    """Step the angle from sample to sample, wrapped to half a turn; None without an angle or for a shaft at rest."""
+    """Return the angle increments wrapped to half a turn; None without an angle or for a shaft at rest."""
     if "phi" not in rec.signals or rec.signal("phi").shape[1] != 1 or rec.n_samples < 4 * _SMOOTH:
         return None
     steps = np.diff(rec.signal("phi")[:, 0])
@@ -91,7 +91,7 @@ def _increments(rec: Recording) -> FloatArray | None:
 
 
 def _long_runs(at: FloatArray, least: int) -> FloatArray:
-    """Find the true entries in runs of at least a length."""
+    """Return the indices of the true entries in runs of at least a given length."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
     runs = [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
     return np.concatenate(runs) if runs else np.zeros(0, int)

@@ -1,4 +1,4 @@
-"""The one data object: sampled signals of one experiment."""
+"""Recording: the sampled signals of one experiment."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ class Recording:
     Parameters
     ----------
     signals : dict of str to (n_samples, n_channels) array
-        Known names are r, u, p (channels x and y, m), phi (rad) and force (N); a rig of one's own may use
-        others. Arrays are never transposed: samples run down, channels across.
+        Known names are r, u, p (channels x and y, m), phi (rad) and force (N). Other names are allowed. Rows are
+        samples, columns are channels; arrays are never transposed.
     sample_time : float
         Time between samples [s].
     conditions : dict of str to float, optional
-        What was held during the experiment, e.g. ``{"pressure_bar": 6.0, "speed_rpm": 0.0}``.
+        Operating point and other constants of the experiment, e.g. ``{"pressure_bar": 6.0, "speed_rpm": 0.0}``.
     name : str, optional
         Name of the recording, used in files, tables and messages.
     units : dict of str to str, optional
         Unit of each signal; known signals have their own, others default to ``""``.
     channels : dict of str to tuple of str, optional
-        Channel names of each signal; known signals of their usual width have their own, others default to
-        ``"1", "2", ...``.
+        Channel names of each signal. Known signals with their usual number of channels have their own, others default
+        to ``"1", "2", ...``.
     provenance : dict of str to str, optional
-        Where the data come from, kept with the file.
+        Texts about the origin of the data, stored with the file.
 
     Raises
     ------
     DataError
-        When a signal is not a two-dimensional array of finite numbers, the lengths differ, or the sample
+        When a signal is not a two-dimensional array of finite numbers, when the lengths differ, or when the sample
         time is not positive.
     """
 
@@ -115,11 +115,12 @@ class Recording:
         return np.asarray(self.sample_time * np.arange(self.n_samples), dtype=np.float64)
 
     def signal(self, name: str) -> FloatArray:
-        """Values of one signal, shape (n_samples, n_channels).
+        """Return the values of one signal, shape (n_samples, n_channels).
 
         Parameters
         ----------
         name : str
+            Name of the signal.
 
         Raises
         ------
@@ -139,24 +140,24 @@ class Recording:
         Parameters
         ----------
         **signals : (n_samples, n_channels) array
-            By name; those that are there are replaced.
+            New signals by name; an existing signal of that name is replaced.
         """
         return replace(self, signals={**self.signals, **{k: np.asarray(v, float) for k, v in signals.items()}})
 
     def slice(self, start: int, stop: int | None = None, name: str | None = None) -> Recording:
-        """Return samples `start` to `stop` (exclusive) as a recording of their own.
+        """Return samples `start` to `stop` (exclusive) as a new recording.
 
         Parameters
         ----------
         start, stop : int
-            Counted from 0; the end when `stop` is not given.
+            Sample numbers from 0; `stop` is the end when not given.
         name : str, optional
-            Of the new recording; that of this one when not given.
+            Name of the new recording; by default the name of this one.
 
         Raises
         ------
         DataError
-            When the range is empty or leaves the recording.
+            When the range is empty or outside the recording.
         """
         stop = self.n_samples if stop is None else stop
         if not 0 <= start < stop <= self.n_samples:
@@ -166,7 +167,7 @@ class Recording:
         signals = {key: values[start:stop] for key, values in self.signals.items()}
         return replace(self, signals=signals, name=name or self.name)
 
-    # The mappings are read-only views, which pickle refuses: workers get plain dicts.
+    # pickle cannot store the read-only views, so plain dicts are sent to worker processes.
     def __getstate__(self) -> dict[str, Any]:
         return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in self.__dict__.items()}
 
@@ -178,14 +179,14 @@ class Recording:
 
 
 def _is_finite(value: object) -> bool:
-    """Whether a value is one finite number: a float, an int, or a numpy scalar or 0-d array of them."""
+    """Return whether a value is one finite number: a float, an int, or a numpy scalar or 0-d array of them."""
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "fiu":  # type: ignore[arg-type]
         return False
     return bool(np.isfinite(value))  # type: ignore[call-overload]
 
 
 def _check_key(recording: str, key: object) -> None:
-    """Refuse names that cannot stand in a file beside the others."""
+    """Refuse names that cannot be used in a file."""
     if not isinstance(key, str) or not key or "/" in key or key in (".", "time"):
         raise DataError(
             f"recording {recording!r}: {key!r} cannot name a signal or condition; give a word without '/', "
@@ -194,10 +195,10 @@ def _check_key(recording: str, key: object) -> None:
 
 
 def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
-    """Return a read-only float array after the checks of one signal."""
+    """Return one signal as a read-only float array, after the checks."""
     where = f"recording {recording!r}: signal {signal!r}"
     try:
-        # numpy would drop a mask or an imaginary part and read text as numbers without a word
+        # numpy would silently drop a mask or an imaginary part and read text as numbers
         raw = np.ma.filled(values.astype(float), np.nan) if isinstance(values, np.ma.MaskedArray) else values
         raw = np.asarray(raw)
         if raw.dtype.kind not in "fiub":

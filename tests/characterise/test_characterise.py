@@ -122,7 +122,7 @@ def test_one_axis_alone_agrees_with_a_straight_line():
         assert found.gain_std[output, 0] >= 0.999 * line.stderr
     assert np.isnan(found.gain[:, 1]).all()
     assert np.isnan(found.rms[:, 1]).all()
-    assert found.notes == ("no recording moves u_y: its gains are not known",)
+    assert found.notes == ("no recording moves u_y, so its gains are not known",)
 
 
 def test_intervals_cover_the_truth():
@@ -307,7 +307,7 @@ def test_one_way_staircase_knows_nothing_of_hysteresis():
         (
             lambda rec: characterise_piezo(rec.with_signals(y_p=0 * rec.signal("y_p")), command="v", position="y_p"),
             DataError,
-            "does not answer",
+            "does not respond to",
         ),
     ],
 )

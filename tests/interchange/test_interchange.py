@@ -234,7 +234,7 @@ def test_mat_file_of_an_lpv_model_gives_the_operating_points(tmp_path):
 
 def test_mat_files_refuse_what_would_be_lost(tmp_path):
     for name in ("6bar.mat", "a-b.mat", "a.b.mat"):
-        with pytest.raises(UsageError, match="no name for a MATLAB function; use letters"):
+        with pytest.raises(UsageError, match="not a valid name of a MATLAB function; use letters"):
             save_mat(published(), tmp_path / name)
     with pytest.raises(UsageError, match=r"ends in \.mat"):
         save_mat(published(), tmp_path / "model.m")

@@ -274,7 +274,7 @@ def test_a_spike_in_u_is_no_movement_but_a_step_is():
     u[500, 0] = 5e-6
     assert identify_runout(rec.with_signals(u=u)).method == "harmonics"
     made = identify_runout(without(rec, "r", "u"))
-    assert made.notes == ("still: neither r nor u recorded, so nothing shows that the piezos were still",)
+    assert made.notes == ("still: neither r nor u is recorded, so it was not checked that the piezos were at rest",)
 
 
 @pytest.mark.parametrize(
@@ -286,7 +286,7 @@ def test_a_spike_in_u_is_no_movement_but_a_step_is():
         (lambda: identify_runout(without(known(), "phi")), "has no signal 'phi'"),
         (lambda: identify_runout(known(n_samples=40)), "0.77 of a turn"),
         (lambda: identify_runout(known(n_samples=60), harmonics=40), "60 samples cannot determine 40"),
-        (lambda: identify_runout(known(speed_rpm=6000.0), harmonics=25), "do not tell 25 harmonics apart"),
+        (lambda: identify_runout(known(speed_rpm=6000.0), harmonics=25), "cannot distinguish 25 harmonics"),
         (lambda: identify_runout(known(speed_rpm=30000.0), method="bins"), "36 degrees"),
         (
             lambda: identify_runout(known(conditions={"speed_rpm": 4000.0})),

@@ -90,7 +90,7 @@ def test_one_recording_is_cut_into_stretches():
 
 def test_a_size_that_cannot_be_made_is_listed_with_its_reason():
     found = compare_runout(table({1: (3e-6, 0.2)}, speed_rpm=6000.0), harmonics=(3, 40), bins=())
-    assert "do not tell 40 harmonics apart" in found.trials[1].note
+    assert "cannot distinguish 40 harmonics" in found.trials[1].note
     assert np.isnan(found.trials[1].residual_rms).all()
     assert found.chosen.size == 3
     with pytest.raises(DataError, match="no run-out map can be made"):

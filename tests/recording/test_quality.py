@@ -129,7 +129,13 @@ def test_swapped_without_references_leaves_it_open(prbs):
 
 def test_texts_name_recording_channel_evidence_and_cure(prbs):
     (problem,) = [p for p in find_problems(dead(prbs[5.0, 0.0], "p", 1)) if p.kind == "dead"]
-    for word in ("recording 'rec'", "signal 'p' channel 'y' is dead", "does not answer 'r'", "coherence 0.", "cable"):
+    for word in (
+        "recording 'rec'",
+        "signal 'p' channel 'y' is dead",
+        "does not respond to 'r'",
+        "coherence 0.",
+        "cable",
+    ):
         assert word in problem.text
 
 

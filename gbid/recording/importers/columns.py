@@ -1,4 +1,4 @@
-"""What all readers share: a column with its unit, and the grammar ``name[3]`` for one column of an array."""
+"""Column of a file with its unit, and the notation ``name[3]`` for one column of an array."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Column(NamedTuple):
 
     Attributes
     ----------
-    values : array, shape (n_samples,)
-        Its numbers as they stand in the file.
+    values : (n_samples,) array
+        Numbers as in the file.
     unit : str or None
-        The unit that the file itself gives.
+        Unit given by the file; None when the file gives none.
     """
 
     values: FloatArray
@@ -30,13 +30,13 @@ class Column(NamedTuple):
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
-    """Split ``"noise[3]"`` into name and column index, which is None for a bare name."""
+    """Return the name and the column index of a reference like ``"noise[3]"``; without brackets the index is None."""
     match = _INDEXED.fullmatch(reference)
     return (match["name"], int(match["index"])) if match else (reference, None)
 
 
 def pick_column(path: Path, reference: str, value: object, row_vectors: bool = False) -> FloatArray:
-    """Take the one column that a reference names out of its variable.
+    """Return the column of a variable that a reference names, shape (n_samples,).
 
     Parameters
     ----------
@@ -47,17 +47,18 @@ def pick_column(path: Path, reference: str, value: object, row_vectors: bool = F
     value : object
         The variable of that name.
     row_vectors : bool
-        Whether a (1, n_samples) array named without index is a vector, as MATLAB stores one. A larger array
-        is never transposed.
+        Whether a (1, n_samples) array named without index is a vector, as MATLAB stores one. Larger arrays are never
+        transposed.
 
     Returns
     -------
-    array, shape (n_samples,)
+    (n_samples,) array
+        Numbers of the column.
 
     Raises
     ------
     DataError
-        When the variable is not an array of real numbers, or the reference does not name one column of it.
+        When the variable is not an array of real numbers, or when the reference does not name one column of it.
     """
     name, index = split_reference(reference)
     where = f"{path}: column {reference!r}:"

@@ -1,4 +1,4 @@
-"""Columns of a csv file: comma, semicolon or tab, names and units in the header line."""
+"""Reader of csv files with comma, semicolon or tab, and with names and units in the header line."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>
 
 
 def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
-    """Read the named columns of a csv file.
+    """Return the named columns of a csv file.
 
-    The first line that is neither empty nor starts with ``#`` is the header; a cell like ``u_x [um]`` or
-    ``u_x (um)`` gives name and unit. A column is named with or without its unit.
+    The header is the first line that is not empty and does not start with ``#``. A cell such as ``u_x [um]`` or
+    ``u_x (um)`` gives name and unit. A column can be named with or without its unit.
 
     Raises
     ------
     DataError
-        When the file is not UTF-8 text, has no header line or ragged rows, a column is unknown or there
-        twice, or a cell of a column asked for is not a number.
+        When the file is not UTF-8 text, when it has no header line or rows of different length, when a column is
+        missing or occurs twice, or when a cell of a requested column is not a number.
     """
     lines = _lines(path)
     if len(lines) < 2:
@@ -55,19 +55,19 @@ def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
 
 
 def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, Column]]:
-    """Look at the first and last row of a csv file only.
+    """Return the number of rows of a csv file, and its columns in the first and last row only.
 
     Returns
     -------
     int
         Number of rows.
     dict of str to Column
-        The two values of each column asked for.
+        The two values of each requested column.
 
     Raises
     ------
     DataError
-        As `read_csv`, for what these rows show.
+        As for `read_csv`, as far as these rows show it.
     """
     lines = _lines(path)
     if len(lines) < 3:
@@ -95,7 +95,7 @@ def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, Colu
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
-    """Lines with content and their numbers from 1, without comments and byte order mark."""
+    """Return the lines with content and their numbers from 1, without comments and byte order mark."""
     try:
         text = path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -106,7 +106,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _delimiter(lines: list[tuple[int, str]]) -> str:
-    """Find the delimiter that splits the header and the first row alike, the more cells the better."""
+    """Return the delimiter that splits the header and the first row into the same, largest number of cells."""
 
     def cells(delimiter: str, line: str) -> int:
         return len(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
@@ -130,7 +130,7 @@ def _check_header(path: Path, header: list[str]) -> None:
 
 
 def _find(path: Path, header: list[str], reference: str) -> int:
-    """Index of a column by its whole header cell or by its name without unit."""
+    """Return the index of a column, by its whole header cell or by its name without unit."""
     if reference in header:
         return header.index(reference)
     names = [_name(cell) for cell in header]
@@ -160,11 +160,11 @@ def _is_number(cell: str) -> bool:
         float(cell)
     except ValueError:
         return False
-    return "_" not in cell  # Python reads 1_000, other programs do not
+    return "_" not in cell  # Python accepts 1_000 as a number, other programs do not
 
 
 def _numbers(path: Path, name: str, cells: list[str], lines: list[int]) -> FloatArray:
-    """Turn the cells of one column into numbers."""
+    """Return the cells of one column as numbers."""
     try:
         if "_" not in "".join(cells):
             return np.array([float(cell) for cell in cells])

@@ -1,4 +1,4 @@
-"""From a foreign file and a mapping to a Recording."""
+"""Import of a file of another program as a Recording."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ READERS: dict[str, Reader] = {".csv": read_csv, ".npz": read_npz, ".mat": read_m
 """Reader of each file ending."""
 
 MAX_JITTER = 0.01
-"""Deviation of a step from the median step, relative, above which a clock jumps."""
+"""Largest relative deviation of a time step from the median step; a larger one is a jump of the clock."""
 MAX_DISAGREEMENT = 1e-3
-"""Relative difference allowed between sample_time and the time column."""
+"""Largest relative difference between sample_time and the time column."""
 
 
 def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
-    """Read a recording from a csv, npz or mat file.
+    """Return a recording read from a csv, npz or mat file.
 
     Parameters
     ----------
     path : path
-        The file; its ending says what it is.
+        The file; its ending decides the reader.
     mapping : ImportMapping or dict
-        Which column is which signal, in which unit, at which sample time; a dict has the keys of
-        `ImportMapping`, as in an experiment YAML.
+        Columns, units and sample time of the signals. A dict has the keys of `ImportMapping`, as in an experiment
+        YAML.
 
     Returns
     -------
     Recording
-        Known signals in SI, others in the unit of the file. Its provenance holds ``source_file``,
+        Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
         ``source_sha256`` and ``source_samples``.
 
     Raises
@@ -53,7 +53,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     UsageError
         When the mapping is malformed or its units do not fit.
     DataError
-        When the file cannot be read or does not hold what the mapping says; the text names file, column and
+        When the file cannot be read or does not contain what the mapping names. The text gives file, column and
         value.
     """
     path = Path(path)
@@ -94,12 +94,12 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
 
 
 def file_reader(path: Path) -> Reader:
-    """Find the reader of a file by its ending.
+    """Return the reader of a file, chosen by its ending.
 
     Raises
     ------
     DataError
-        For an unknown ending.
+        When the ending is unknown.
     """
     reader = READERS.get(path.suffix.lower())
     if reader is None:
@@ -108,7 +108,7 @@ def file_reader(path: Path) -> Reader:
 
 
 def _range(path: Path, mapping: ImportMapping, columns: dict[str, Column]) -> tuple[int, int]:
-    """First sample and the one after the last, after a check that all columns are of one length."""
+    """Return the first sample and the one after the last; check that all columns have the same length."""
     lengths = {name: len(column.values) for name, column in columns.items()}
     n = next(iter(lengths.values()))
     if set(lengths.values()) != {n}:
@@ -132,9 +132,9 @@ def _check_finite(path: Path, columns: dict[str, Column], start: int) -> None:
 
 
 def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column], start: int) -> float:
-    """Sample time [s] from the mapping, the time column, or both when they agree."""
+    """Return the sample time [s] from the mapping or the time column; check that they agree when both are given."""
     if mapping.time is None:
-        assert mapping.sample_time is not None  # ImportMapping sees to that
+        assert mapping.sample_time is not None  # checked by ImportMapping
         return mapping.sample_time
     time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
     if len(time) < 2:
@@ -149,7 +149,7 @@ def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column],
             f"median step {median:g} s ({bad.size} such steps); cut them off with samples, or give sample_time "
             "instead if only the column is rounded"
         )
-    # twelve digits: the column's own rounding would make equal clocks differ in the last bits
+    # Rounded to twelve digits: rounding in the column would make equal sample times differ in the last bits.
     mean = float(f"{(time[-1] - time[0]) / len(steps):.12g}")
     if mapping.sample_time is None:
         return mean
@@ -162,21 +162,21 @@ def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column],
 
 
 def time_factor(path: Path, mapping: ImportMapping, column: Column) -> float:
-    """Seconds in one unit of the time column.
+    """Return the number of seconds in one unit of the time column.
 
     Raises
     ------
     DataError
         When file and mapping give different units.
     UsageError
-        When the unit is no time.
+        When the unit is not a unit of time.
     """
     what = f"time column {mapping.time!r}"
     return _factor(path, what, _file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")
 
 
 def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Column]) -> tuple[FloatArray, str]:
-    """Values (n_samples, n_channels) in the unit to be stored, and that unit."""
+    """Return the values (n_samples, n_channels) of a signal in the unit to be stored, and that unit."""
     known = SIGNALS.get(name)
     stored = known.unit if known and signal.stored_unit is None else signal.stored_unit
     units = {}
@@ -195,7 +195,7 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Col
 
 
 def _file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
-    """Settle the unit of the file's numbers from mapping and header, which must not contradict each other."""
+    """Return the unit of the numbers in the file; check that mapping and header do not contradict each other."""
     if mapped is None or given is None or mapped == given:
         return given if mapped is None else mapped
     try:

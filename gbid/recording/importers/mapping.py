@@ -1,4 +1,4 @@
-"""Which column of a file is which signal, in which unit, at which sample time."""
+"""Import mapping: column, unit and sample time of each signal in a file."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from gbid.errors import UsageError
 
 @dataclass(frozen=True)
 class SignalMapping:
-    """Where one signal of a recording comes from.
+    """Columns of a file that make up one signal of a recording.
 
     Parameters
     ----------
     columns : tuple of str
-        Source columns in the order of the channels, one each. In a csv file the names of the header line; in
-        an npz or mat file a variable (``"u_x"``), or one column of an (n_samples, n_channels) array
-        (``"noise[0]"``, counted from 0), within a MATLAB struct by dots (``"data.u[0]"``).
+        Columns in the order of the channels, one for each channel. In a csv file these are names in the header line.
+        In an npz or mat file they are variables (``"u_x"``) or columns of an (n_samples, n_channels) array
+        (``"noise[0]"``, counted from 0). Fields of a MATLAB struct are named with dots (``"data.u[0]"``).
     unit : str, optional
-        Unit of the numbers in the file. When left out, the unit in the csv header counts.
+        Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
     stored_unit : str, optional
-        Unit that the recording shall have. When left out, the SI unit of a known signal
-        (`gbid.units.SIGNALS`), else the unit of the file.
+        Unit in the recording. When it is not given, it is the SI unit of a known signal (`gbid.units.SIGNALS`),
+        otherwise the unit of the file.
     channels : tuple of str, optional
-        Names of the channels; when left out those of `Recording`.
+        Names of the channels; when not given, the default names of `Recording`.
 
     Raises
     ------
     UsageError
-        When an entry is not of its type.
+        When an entry has the wrong type.
     """
 
     columns: tuple[str, ...]
@@ -51,7 +51,7 @@ class SignalMapping:
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> SignalMapping:
-        """Build from a plain dict with the same keys; raises UsageError when one is unknown.
+        """Return the mapping given by a plain dict with the same keys; an unknown key raises UsageError.
 
         Parameters
         ----------
@@ -64,30 +64,30 @@ class SignalMapping:
 
 @dataclass(frozen=True)
 class ImportMapping:
-    """What `import_recording` needs to know about a file.
+    """Mapping from the columns of a file to the signals of a recording, for `import_recording`.
 
     Parameters
     ----------
     signals : dict of str to SignalMapping
-        The signals of the recording by name; plain dicts of the same form are accepted.
+        Signals of the recording by name. Plain dicts of the same form are accepted.
     sample_time : float, optional
         Time between samples [s].
     time : str, optional
-        Column that holds the sample times, as in `SignalMapping.columns`. One of `sample_time` and `time`
-        must be given; when both are, they must agree within 0.1 %, and `sample_time` is stored.
+        Column of the sample times, named as in `SignalMapping.columns`. One of `sample_time` and `time` must be given.
+        When both are given, they must agree within 0.1 %, and `sample_time` is stored.
     time_unit : str, optional
-        Unit of the time column. When left out, the unit in the csv header, else ``"s"``.
+        Unit of the time column. When it is not given, it is the unit in the csv header, otherwise ``"s"``.
     conditions : dict of str to float, optional
-        What was held during the experiment.
+        Operating point and other constants of the experiment.
     name : str, optional
-        Name of the recording; the name of the file without its ending by default.
+        Name of the recording; by default the name of the file without its ending.
     samples : tuple of int and (int or None), optional
         First sample and the one after the last, counted from 0; None is the end of the file.
 
     Raises
     ------
     UsageError
-        When an entry is missing, not of its type, or contradicts another.
+        When an entry is missing, has the wrong type, or contradicts another one.
     """
 
     signals: Mapping[str, SignalMapping]
@@ -119,17 +119,17 @@ class ImportMapping:
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:
-        """Build from a plain dict, as it stands in an experiment YAML.
+        """Return the mapping given by a plain dict, as in an experiment YAML.
 
         Parameters
         ----------
         entries : dict
-            The arguments of `ImportMapping` by name; ``sample_time_s`` is read as ``sample_time``.
+            Arguments of `ImportMapping` by name; ``sample_time_s`` is accepted for ``sample_time``.
 
         Raises
         ------
         UsageError
-            When a key is unknown, given twice or missing, or a value is not of its type.
+            When a key is unknown, given twice or missing, or when a value has the wrong type.
         """
         known = [f.name for f in fields(cls)]
         _check_keys(entries, [*known, "sample_time_s"], needed=["signals"])
@@ -143,13 +143,13 @@ class ImportMapping:
         return cls(**entries)
 
     def all_columns(self) -> list[str]:
-        """All source columns, each once, the time column first."""
+        """Return the names of all columns, each once, with the time column first."""
         named = [column for signal in self.signals.values() for column in signal.columns]
         return list(dict.fromkeys([*([self.time] if self.time else []), *named]))
 
 
 def nearest(name: str, known: Iterable[str], limit: int = 30) -> str:
-    """Say what was meant by an unknown name and what there is, as the end of a message."""
+    """Return the end of a message about an unknown name: the most similar name and the known names."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""

@@ -1,4 +1,4 @@
-"""Columns of a MATLAB file: up to v7.2 by scipy, v7.3 (HDF5) by pymatreader."""
+"""Reader of MATLAB files: up to v7.2 by scipy, v7.3 (HDF5) by pymatreader."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from gbid.recording.importers.mapping import nearest
 
 
 def read_mat(path: Path, references: Sequence[str]) -> dict[str, Column]:
-    """Read the named columns of a MATLAB file of any version.
+    """Return the named columns of a MATLAB file of any version.
 
-    Arrays have the shape that MATLAB shows, also those of v7.3 files, which HDF5 stores transposed.
+    Arrays have the shape that MATLAB shows. This also holds for v7.3 files, which store arrays transposed.
 
     Raises
     ------
     DataError
-        When the file is no MATLAB file or damaged, a variable or field is unknown, or it is not an array of
-        numbers with that column.
+        When the file is damaged or not a MATLAB file, when a variable or field is missing, or when it is not an array
+        of numbers with that column.
     """
     paths = {reference: split_reference(reference)[0].split(".") for reference in references}
     roots = sorted({parts[0] for parts in paths.values()})
@@ -32,10 +32,10 @@ def read_mat(path: Path, references: Sequence[str]) -> dict[str, Column]:
         hdf5 = handle.read(10) == b"MATLAB 7.3" or h5py.is_hdf5(path)
     try:
         with warnings.catch_warnings():
-            # both readers warn of MATLAB objects and return something else, which pick_column refuses
+            # Both readers warn of MATLAB objects and return another type; pick_column refuses it.
             warnings.simplefilter("ignore")
             variables, names = (_load_v73 if hdf5 else _load_v5)(path, roots)
-    except Exception as error:  # a damaged file makes the readers fail in every way there is
+    except Exception as error:  # a damaged file can raise any kind of error in the readers
         raise DataError(f"{path}: not a readable MATLAB file (truncated or of another format): {error}") from None
     columns = {}
     for reference, parts in paths.items():
@@ -47,7 +47,7 @@ def read_mat(path: Path, references: Sequence[str]) -> dict[str, Column]:
 
 
 def _walk(path: Path, reference: str, value: Any, parts: list[str]) -> Any:
-    """Follow the dots of a reference through nested structs."""
+    """Return the field of nested structs that the dots of a reference name."""
     for depth, part in enumerate(parts[1:], start=1):
         struct = ".".join(parts[:depth])
         if not isinstance(value, Mapping):
@@ -59,8 +59,8 @@ def _walk(path: Path, reference: str, value: Any, parts: list[str]) -> Any:
 
 
 def _load_v5(path: Path, roots: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Variables by scipy, structs as dicts, and the names of all variables."""
-    from scipy.io import loadmat, whosmat  # here, since it takes a quarter of a second
+    """Return the variables read by scipy, with structs as dicts, and the names of all variables."""
+    from scipy.io import loadmat, whosmat  # imported here, because the import takes a quarter of a second
 
     loaded = loadmat(path, appendmat=False, variable_names=roots)
     names = [name for name, *_ in whosmat(path, appendmat=False)]
@@ -68,14 +68,14 @@ def _load_v5(path: Path, roots: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _fields(value: Any) -> Any:
-    """Turn scipy's record array of one struct into a dict; leave arrays of structs as they are."""
+    """Return the record array of one struct as a dict; arrays of structs stay as they are."""
     if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
         return {name: _fields(value[name].flat[0]) for name in value.dtype.names}
     return value
 
 
 def _load_v73(path: Path, roots: list[str]) -> tuple[dict[str, Any], list[str]]:
-    """Variables by pymatreader, structs as dicts, and the names of all variables."""
+    """Return the variables read by pymatreader, with structs as dicts, and the names of all variables."""
     from pymatreader import read_mat as read
 
     with h5py.File(path, "r") as file:
@@ -86,7 +86,7 @@ def _load_v73(path: Path, roots: list[str]) -> tuple[dict[str, Any], list[str]]:
 
 
 def _shaped(value: Any, stored: h5py.Group | h5py.Dataset) -> Any:
-    """Give arrays back the dimensions of length one that pymatreader drops."""
+    """Return arrays with the dimensions of length one that pymatreader drops."""
     if isinstance(value, dict) and isinstance(stored, h5py.Group):
         return {name: _shaped(entry, stored[name]) for name, entry in value.items()}
     number = isinstance(value, np.ndarray | int | float) and isinstance(stored, h5py.Dataset)

@@ -1,4 +1,4 @@
-"""Columns of an npz archive."""
+"""Reader of npz archives."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from gbid.recording.importers.mapping import nearest
 
 
 def read_npz(path: Path, references: Sequence[str]) -> dict[str, Column]:
-    """Read the named columns of an npz archive; pickled objects are never loaded.
+    """Return the named columns of an npz archive; pickled objects are never loaded.
 
     Raises
     ------
     DataError
-        When the file is no npz archive or damaged, a variable is unknown, holds pickled objects, or is not
+        When the file is damaged or not an npz archive, or when a variable is missing, holds pickled objects, or is not
         an array of numbers with that column.
     """
     if not zipfile.is_zipfile(path):

@@ -1,4 +1,4 @@
-"""A short look at a foreign file: is it whole, has it the columns, how long is it, how fast was it sampled."""
+"""Quick check of a file before its import: its completeness, columns, length and sample time."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from gbid.recording.importers.mapping import ImportMapping
 
 @dataclass(frozen=True)
 class Peek:
-    """What a short look at a file shows.
+    """Number of samples and sample time of a file.
 
     Attributes
     ----------
     n_samples : int
-        That the recording will have.
+        Number of samples that the recording will have.
     sample_time : float
-        [s].
+        Time between samples [s].
     """
 
     n_samples: int
@@ -28,14 +28,16 @@ class Peek:
 
 
 def peek(path: Path, mapping: ImportMapping) -> Peek:
-    """Look at a file that is to be imported, without converting what is in it.
+    """Return the length and sample time of a file that is to be imported, without importing it.
 
-    A csv file is judged by its header, its first and its last row; of npz and mat files the columns are read.
+    Of a csv file the header, the first and the last row are read. Of npz and mat files the columns are read.
 
     Parameters
     ----------
     path : pathlib.Path
+        The file.
     mapping : ImportMapping
+        The mapping of the import.
 
     Returns
     -------
@@ -44,9 +46,9 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
     Raises
     ------
     DataError
-        When the file is truncated or of another kind, lacks a column, or does not have the samples asked for.
+        When the file is truncated or of another kind, or when it lacks a column or the requested samples.
     UsageError
-        When the unit of the time column is no time.
+        When the unit of the time column is not a unit of time.
     """
     try:
         if path.suffix.lower() == ".csv":
@@ -66,7 +68,7 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples; correct them")
     sample_time = mapping.sample_time
     if sample_time is None:
-        assert mapping.time is not None  # ImportMapping sees to that
+        assert mapping.time is not None  # checked by ImportMapping
         values = columns[mapping.time].values
         span = float(values[-1] - values[0]) * time_factor(path, mapping, columns[mapping.time])
         if not span > 0 or n < 2:
