@@ -1,4 +1,4 @@
-"""The linear parameter-varying model: polynomials over pressure and speed, and its files."""
+"""Linear parameter-varying (LPV) model: polynomials over pressure and speed, and its files."""
 
 from gbid.lpv.basis import EXPONENTS, TERMS, basis, polynomial, regressors
 from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics

@@ -1,4 +1,4 @@
-"""The polynomial in pressure and speed that every key parameter is: paper, Eq. 16."""
+"""Polynomial in pressure and speed for each key parameter (paper, Eq. 16)."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ EXPONENTS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
 
 
 def basis(pressure_bar: Any, speed_rpm: Any) -> tuple[Any, ...]:
-    """Values of the six terms of Eq. 16.
+    """Return the values of the six terms of Eq. 16.
 
     Parameters
     ----------
@@ -29,45 +29,47 @@ def basis(pressure_bar: Any, speed_rpm: Any) -> tuple[Any, ...]:
     Returns
     -------
     tuple
-        In the order of `TERMS`, each of the kind of the arguments; the first is the number 1.
+        Terms in the order of `TERMS`, each of the type of the arguments; the first is the number 1.
     """
     return tuple(_power(pressure_bar, i) * _power(speed_rpm, j) for i, j in EXPONENTS)
 
 
 def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> FloatArray:
-    """Terms as columns: the matrix of the least-squares problem behind Eq. 16.
+    """Return the terms as columns of the regression matrix of Eq. 16.
 
     Parameters
     ----------
     pressure_bar, speed_rpm : (n_points,) array
-        Operating points.
+        Operating points [bar], [rpm].
 
     Returns
     -------
     (n_points, 6) array
+        Columns in the order of `TERMS`.
     """
     P, Omega = np.broadcast_arrays(np.asarray(pressure_bar, float), np.asarray(speed_rpm, float))
     return np.stack([term * np.ones(P.shape) for term in basis(P, Omega)], axis=-1)
 
 
 def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -> Any:
-    """Sum of coefficients times terms.
+    """Return the sum of coefficients times terms.
 
     Parameters
     ----------
     coefficients : sequence of 6
-        In the order of `TERMS`; numbers or symbols.
+        Coefficients in the order of `TERMS`; numbers or symbols.
     terms : sequence of 6
-        What `basis` returns.
+        Terms from `basis`.
 
     Returns
     -------
     float, array or CasADi expression
+        Value of the polynomial.
 
     Raises
     ------
     UsageError
-        When there are not as many coefficients as terms.
+        When the numbers of coefficients and terms differ.
     """
     if len(coefficients) != len(terms):
         raise UsageError(f"{len(coefficients)} coefficients for {len(terms)} terms ({', '.join(TERMS)})")
@@ -75,7 +77,7 @@ def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -
 
 
 def _power(variable: Any, exponent: int) -> Any:
-    """Return a small power; products keep floats, arrays and symbols alike, and 0 gives a plain 1."""
+    """Return a small power by products, which keep the type of the variable; exponent 0 gives the float 1."""
     result: Any = 1.0
     for _ in range(exponent):
         result = result * variable

@@ -1,4 +1,4 @@
-"""What key parameters mean for the machine: delays, modes and static gains, and how surfaces reproduce them."""
+"""Characteristics of the machine from its key parameters: delays, modes and static gains."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ PUBLISHED_LARGEST_GAIN = 0.016
 
 
 def characteristics(values: npt.ArrayLike) -> FloatArray:
-    """Delays, modes and static gains of key parameters.
+    """Return the delays, modes and static gains of key parameters.
 
     Parameters
     ----------
     values : (n, 14) array
-        In the order of `gbid.structure.KEY_PARAMETERS`.
+        Key parameters in the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
 
     Returns
     -------
     (n, 10) array
-        In the order of `CHARACTERISTICS`. Modes by rising frequency; nan where there are not two oscillatory
-        ones.
+        Characteristics in the order of `CHARACTERISTICS`. Modes are by rising frequency. They are nan when there are
+        not exactly two oscillatory modes.
     """
     values = np.atleast_2d(np.asarray(values, float))
     column = {key: values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
@@ -73,17 +73,18 @@ def characteristics(values: npt.ArrayLike) -> FloatArray:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far recordings lie from the surfaces in one characteristic.
+    """Deviation of the recordings from the surfaces in one characteristic.
 
     Attributes
     ----------
     name, unit : str
+        Name and unit of the characteristic.
     rms, largest : float
-        Of estimate minus surface.
+        Root mean square and largest absolute value of estimate minus surface, in `unit`.
     recording : str
-        Where the largest is.
+        Recording with the largest deviation.
     published_rms : float
-        The paper's, for its machine.
+        Rms deviation in the paper, for its machine.
     """
 
     name: str
@@ -95,7 +96,10 @@ class Deviation:
 
 
 def deviations(estimated: FloatArray, surface: FloatArray, recordings: tuple[str, ...]) -> tuple[Deviation, ...]:
-    """Compare characteristics, both (n, 10), by recording; rows without two modes do not count for the modes."""
+    """Return the deviations of estimated characteristics from those of the surfaces, both (n, 10), by recording.
+
+    Rows without two modes do not count for the modes.
+    """
     rows = []
     for j, name in enumerate(CHARACTERISTICS):
         away = estimated[:, j] - surface[:, j]

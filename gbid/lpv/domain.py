@@ -1,4 +1,4 @@
-"""The range of pressure and speed on which a model was identified, and its guard."""
+"""Domain: the range of pressure and speed in which a model was identified."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.errors import ExtrapolationWarning, UsageError
 
 @dataclass(frozen=True)
 class Domain:
-    """A rectangle of operating points.
+    """Rectangle of operating points.
 
     Parameters
     ----------
@@ -42,11 +42,12 @@ class Domain:
             object.__setattr__(self, name, (low, high))
 
     def contains(self, pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> bool:
-        """Whether all given points lie inside; the borders do.
+        """Return whether all given points lie inside or on the border.
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float or array
+            Operating points [bar], [rpm].
         """
         return all(
             bool(((low <= np.asarray(v, float)) & (np.asarray(v, float) <= high)).all())
@@ -56,28 +57,28 @@ class Domain:
     def check(
         self, pressure_bar: Any, speed_rpm: Any, owner: str, extrapolate: bool = False, stacklevel: int = 3
     ) -> None:
-        """Refuse operating points outside, or warn when they are asked for.
+        """Refuse operating points outside, or warn when extrapolation is allowed.
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float or array
-            CasADi symbols pass: nothing is known of their values.
+            Operating points [bar], [rpm]. CasADi symbols are not checked, because they have no values.
         owner : str
             What is evaluated, for the message.
         extrapolate : bool
-            Whether points outside are wanted.
+            Whether points outside are allowed.
         stacklevel : int
-            Calls between the one to blame in a warning and here, as in `warnings.warn`.
+            Number of calls between this method and the call that the warning shows, as in `warnings.warn`.
 
         Raises
         ------
         UsageError
-            For values that are no finite numbers, and for those outside unless `extrapolate` is set.
+            When a value is not a finite number, or when it lies outside and `extrapolate` is not set.
 
         Warns
         -----
         ExtrapolationWarning
-            For values outside, when `extrapolate` is set.
+            When a value lies outside and `extrapolate` is set.
         """
         for name, value in (("pressure_bar", pressure_bar), ("speed_rpm", speed_rpm)):
             if isinstance(value, ca.SX | ca.MX):
@@ -89,7 +90,7 @@ class Domain:
                 continue
             text = f"{owner}: {name} = {outside[0]:g} lies outside its domain [{low:g}, {high:g}]"
             if not extrapolate:
-                raise UsageError(f"{text}; choose a point inside or ask for it with extrapolate=True")
+                raise UsageError(f"{text}; choose a point inside or set extrapolate=True")
             warnings.warn(f"{text}: extrapolated", ExtrapolationWarning, stacklevel=stacklevel)
 
 
@@ -97,7 +98,7 @@ def _numbers(name: str, value: Any, owner: str) -> FloatArray:
     """Return finite numbers as a flat array."""
     raw = np.asarray(value)
     if raw.dtype.kind not in "fiu":
-        raise UsageError(f"{owner}: {name} = {value!r} is no number")
+        raise UsageError(f"{owner}: {name} = {value!r} is not a number")
     values = raw.astype(float).ravel()
     if not np.isfinite(values).all():
         bad = values[~np.isfinite(values)][0]

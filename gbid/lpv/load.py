@@ -1,4 +1,4 @@
-"""Reading and writing model files."""
+"""Reading and writing of model files."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.yaml_file import read_yaml, write_yaml
 
 
 def load_model(name_or_path: str | Path) -> LPVModel:
-    """Load a model that comes with gbid, or one from a file.
+    """Return a model that comes with gbid, or one from a file.
 
     Parameters
     ----------
@@ -26,12 +26,13 @@ def load_model(name_or_path: str | Path) -> LPVModel:
     Returns
     -------
     LPVModel
-        In SI per kg, the file's corrections applied.
+        The model in SI per kg, with the corrections of the file applied.
 
     Raises
     ------
     UsageError
-        For an unknown name or missing file; for a broken file, with line and column of each problem.
+        When the name is unknown or the file is missing. For a faulty file the text gives line and column of each
+        problem.
 
     Examples
     --------
@@ -57,18 +58,18 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
     Parameters
     ----------
     model : LPVModel
-        Its coefficients are written as they are used: in SI, corrections already in them.
+        The model. Its coefficients are written in SI, with corrections already applied.
     path : str or path
-        The file; ends in .yaml.
+        The new file, ending in .yaml.
     overwrite : bool
         Whether an existing file may be replaced.
 
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, or the ending is another.
+        When the file exists and `overwrite` is not set, or when it has another ending.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     path = Path(path)
     if path.suffix not in (".yaml", ".yml"):
@@ -78,14 +79,14 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
 
 
 def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
-    """Write a model's YAML, with a comment as its first line when there is one."""
+    """Write a model as YAML, with an optional comment as the first line."""
     write_yaml(_contents(model), path)
     if comment:
         path.write_text(f"# {comment}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
 
 
 def _contents(model: LPVModel) -> dict[str, Any]:
-    """Return a model's file contents, without what is empty."""
+    """Return the contents of a model file, without empty entries."""
     contents: dict[str, Any] = {
         "kind": "lpv_model",
         "schema_version": SCHEMA_VERSION,

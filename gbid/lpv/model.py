@@ -1,4 +1,4 @@
-"""The linear parameter-varying model of rotor, gas bearing and actuators: paper, Sec. 4."""
+"""Linear parameter-varying model of rotor, gas bearing and actuators (paper, Sec. 4)."""
 
 from __future__ import annotations
 
@@ -24,34 +24,35 @@ ACTUATOR_PARAMETERS = tuple(parameter.name for parameter in PiezoPair().paramete
 
 @dataclass(frozen=True)
 class LPVModel:
-    """Key parameters as polynomials in injection pressure and speed, and the actuators before them.
+    """LPV model: key parameters as polynomials in injection pressure and speed, and the actuators.
 
     Parameters
     ----------
     name : str
+        Name of the model.
     coefficients : dict of str to 6 floats
-        For each of the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) the coefficients of Eq. 16
-        in the order of `gbid.lpv.TERMS`, in SI per kg: k and b [N/(kg m)], d [N s/(kg m)], tau [s], per bar
-        and rpm.
+        Coefficients of Eq. 16 for each of the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`), in the order
+        of `gbid.lpv.TERMS`, in SI per kg: k and b [N/(kg m)], d [N s/(kg m)], tau [s], per bar and rpm.
     domain : Domain
-        Operating points on which the model holds.
+        Operating points at which the model is valid.
     actuators : dict of str to float
         p1_x, p2_x, p1_y, p2_y [rad/s], kappa_x, kappa_y [m/m] (Eq. 12); empty when not known.
     pade_order : int
-        Order of the delays' approximation in `at` and `plant_at`; 1 is the paper's.
+        Order of the approximation of the delays in `at` and `plant_at`; the paper uses 1.
     operating_points : tuple of (pressure_bar, speed_rpm)
-        Where models were identified.
+        Operating points at which models were identified.
     controller : ProportionalDesign, optional
-        A controller that comes with the machine.
+        Published controller of the machine.
     rig : dict of str to Quantity
         Dimensions and limits of the machine.
     piezo_controllers : PiezoControllers, optional
-        Inner loops of the piezos (Eq. A.1).
+        Inner control loops of the piezos (Eq. A.1).
     reference_modes : tuple of ReferenceModes
         Modes that the source gives.
     corrections : tuple of Correction
-        What was corrected in the source's tables; already in the coefficients.
+        Corrections of the tables of the source; they are already applied to the coefficients.
     title, source : str
+        Title, and publication or origin of the model.
 
     Raises
     ------
@@ -91,7 +92,7 @@ class LPVModel:
                 raise UsageError(f"{where}: actuators: {key} = {value:g}; give a finite number, poles positive")
         for name, mapping in (("coefficients", coefficients), ("actuators", actuators), ("rig", dict(self.rig))):
             object.__setattr__(self, name, MappingProxyType(mapping))
-        RotorBearing(pade_order=self.pade_order)  # refuses an order below one
+        RotorBearing(pade_order=self.pade_order)  # raises an error for an order below one
 
     def __repr__(self) -> str:
         low, high = zip(self.domain.pressure_bar, self.domain.speed_rpm, strict=True)
@@ -107,14 +108,15 @@ class LPVModel:
         )
 
     def key_parameters(self, pressure_bar: Any, speed_rpm: Any, *, extrapolate: bool = False) -> dict[str, Any]:
-        """Fourteen key parameters at operating points (Eq. 16).
+        """Return the fourteen key parameters at operating points (Eq. 16).
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float, array or CasADi symbol
-            Arrays broadcast against each other; numbers are held to the domain, symbols are not.
+            Operating points [bar], [rpm]. Arrays broadcast against each other. Numbers are checked against the domain,
+            symbols are not.
         extrapolate : bool
-            Whether numbers outside the domain are wanted.
+            Whether numbers outside the domain are allowed.
 
         Returns
         -------
@@ -124,12 +126,12 @@ class LPVModel:
         Raises
         ------
         UsageError
-            Outside the domain unless `extrapolate` is set; for numbers that are not finite.
+            When a point lies outside the domain and `extrapolate` is not set, or when a number is not finite.
 
         Warns
         -----
         ExtrapolationWarning
-            Outside the domain when `extrapolate` is set.
+            When a point lies outside the domain and `extrapolate` is set.
         """
         self.domain.check(pressure_bar, speed_rpm, f"model {self.name!r}", extrapolate)
         terms = basis(_as_float(pressure_bar), _as_float(speed_rpm))
@@ -143,30 +145,31 @@ class LPVModel:
         pade_order: int | None = None,
         extrapolate: bool = False,
     ) -> LinearModel:
-        """Rotor-bearing model ``G_rb`` at one operating point, from u to p (Eq. 19).
+        """Return the rotor-bearing model ``G_rb`` at one operating point, from u to p (Eq. 19).
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float
+            Operating point [bar], [rpm].
         pade_order : int, optional
-            Order of the delays' approximation; the model's own when not given.
+            Order of the approximation of the delays; by default that of the model.
         extrapolate : bool
-            Whether a point outside the domain is wanted.
+            Whether a point outside the domain is allowed.
 
         Returns
         -------
         LinearModel
-            Continuous; inputs u_x, u_y, outputs p_x, p_y [m].
+            Model in continuous time with inputs u_x, u_y and outputs p_x, p_y [m].
 
         Raises
         ------
         UsageError
-            As `key_parameters`; also where a delay is not positive.
+            As for `key_parameters`; also when a delay is not positive.
 
         Warns
         -----
         ExtrapolationWarning
-            Outside the domain when `extrapolate` is set.
+            When the point lies outside the domain and `extrapolate` is set.
         """
         values = self._numbers_at(pressure_bar, speed_rpm, extrapolate)
         return self._evaluate(self._bearing(pade_order), values, "u", (pressure_bar, speed_rpm))
@@ -179,22 +182,22 @@ class LPVModel:
         pade_order: int | None = None,
         extrapolate: bool = False,
     ) -> LinearModel:
-        """Whole plant ``G = G_rb G_act`` at one operating point, from r to p (Eq. 20).
+        """Return the whole plant ``G = G_rb G_act`` at one operating point, from r to p (Eq. 20).
 
-        Parameters, errors and warnings are those of `at`; it also refuses when the model knows no actuators.
+        Parameters, errors and warnings are those of `at`. A model without actuators is refused.
 
         Parameters
         ----------
         pressure_bar, speed_rpm, pade_order, extrapolate
-            As in `at`.
+            As for `at`.
 
         Returns
         -------
         LinearModel
-            Continuous; inputs r_x, r_y, outputs p_x, p_y [m].
+            Model in continuous time with inputs r_x, r_y and outputs p_x, p_y [m].
         """
         if not self.actuators:
-            raise UsageError(f"model {self.name!r} knows no actuators; give them in its file under 'actuators'")
+            raise UsageError(f"model {self.name!r} has no actuators; give them in its file under 'actuators'")
         values = {**self.actuators, **self._numbers_at(pressure_bar, speed_rpm, extrapolate)}
         plant = Plant(self._bearing(pade_order), PiezoPair(), outputs=("p",))
         return self._evaluate(plant, values, "r", (pressure_bar, speed_rpm))
@@ -224,7 +227,7 @@ class LPVModel:
         model = evaluate(structure, values, names, ("p_x", "p_y"))
         return replace(model, name=f"{self.name} at {point_label(*point)}")
 
-    # The mappings are read-only views, which pickle refuses: workers get plain dicts.
+    # pickle cannot store the read-only views, so plain dicts are sent to worker processes.
     def __getstate__(self) -> dict[str, Any]:
         return {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in self.__dict__.items()}
 
@@ -244,7 +247,7 @@ def _check_names(where: str, given: Mapping[str, Any], expected: tuple[str, ...]
 
 
 def _as_float(value: Any) -> Any:
-    """Return integers and lists as floats, so that no power overflows; symbols as they are."""
+    """Return integers and lists as floats, because powers of integers could overflow; symbols are unchanged."""
     if isinstance(value, list | tuple | np.ndarray):
         return np.asarray(value, float)
     return float(value) if isinstance(value, int | float | np.integer | np.floating) else value

@@ -1,4 +1,4 @@
-"""The schema of a model file, and how its corrections are applied."""
+"""Schema of a model file, and application of its corrections."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Row = Annotated[tuple[Number, ...], Field(min_length=len(TERMS), max_length=len(
 
 @dataclass(frozen=True)
 class DomainTable(FileTable):
-    """Ranges on which the model holds."""
+    """Ranges of pressure [bar] and speed [rpm] in which the model is valid."""
 
     pressure_bar: Range
     speed_rpm: Range
@@ -42,7 +42,7 @@ class DomainTable(FileTable):
 
 @dataclass(frozen=True)
 class KeyParameterTable(FileTable):
-    """Coefficients of Eq. 16, with the unit of the first one and its factor to SI."""
+    """Coefficients of Eq. 16, with the unit of the first coefficient and its factor to SI."""
 
     terms: tuple[str, ...]
     coefficients: dict[str, Row]
@@ -53,7 +53,7 @@ class KeyParameterTable(FileTable):
 
 @dataclass(frozen=True)
 class ActuatorTable(FileTable):
-    """Parameters of Eq. 12."""
+    """Actuator parameters of Eq. 12."""
 
     p1_x: Number
     p2_x: Number
@@ -66,7 +66,7 @@ class ActuatorTable(FileTable):
 
 @dataclass(frozen=True)
 class ModelFile(FileTable):
-    """A model file as it is written, before its corrections."""
+    """Contents of a model file, before its corrections."""
 
     kind: Literal["lpv_model"]
     schema_version: Literal[1]
@@ -87,12 +87,12 @@ class ModelFile(FileTable):
 
 
 def parse(file: YamlFile) -> LPVModel:
-    """Turn the contents of a model file into a model.
+    """Return the model of a model file.
 
     Raises
     ------
     UsageError
-        One line for each problem, as ``file:line:col: what``.
+        When the file has problems; one line for each, as ``file:line:col: what``.
     """
     try:
         table = TypeAdapter(ModelFile).validate_python(file.data)
@@ -125,7 +125,7 @@ def parse(file: YamlFile) -> LPVModel:
 
 
 def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
-    """Return all entries that can be corrected, by name, after the corrections."""
+    """Return all entries that can be corrected, by name, with the corrections applied."""
     key_parameters = table.key_parameters
     values: dict[str, float] = {
         f"{key}[{term}]": value
@@ -155,7 +155,7 @@ def _correct(file: YamlFile, table: ModelFile) -> dict[str, float]:
 
 
 def _check_key_parameters(file: YamlFile, table: KeyParameterTable) -> None:
-    """Refuse another order of terms and missing or unknown names."""
+    """Refuse another order of terms, and missing or unknown names."""
     if table.terms != TERMS:
         raise UsageError(
             f"{file.position(('key_parameters', 'terms'))}: terms = [{', '.join(table.terms)}]; "

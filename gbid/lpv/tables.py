@@ -1,4 +1,4 @@
-"""What a model file tells about a machine beside its coefficients: values with unit and source."""
+"""Data of a machine in a model file besides the coefficients: values with unit and source."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ Number = Annotated[float, Strict(), AllowInfNan(False)]
 
 
 class FileTable:
-    """What is read from a file with its keys checked: unknown ones are refused."""
+    """Base class of values that are read from a file; unknown keys are refused."""
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
 
 
 @dataclass(frozen=True)
 class Quantity(FileTable):
-    """One physical value as its source prints it.
+    """Physical value as printed in its source.
 
     Attributes
     ----------
     value : float
-        In `unit`.
+        Number in `unit`.
     unit : str
-        As pint reads it.
+        Unit as pint reads it.
     source : str
-        Where it stands.
+        Place in the publication.
     """
 
     value: Number
@@ -38,32 +38,33 @@ class Quantity(FileTable):
     source: str = ""
 
     def to(self, unit: str) -> float:
-        """Return the value in another unit, as pint writes it.
+        """Return the value in another unit.
 
         Parameters
         ----------
         unit : str
+            Unit as pint reads it.
 
         Raises
         ------
         UsageError
-            When the units do not measure the same thing.
+            When the units measure different quantities.
         """
         return self.value * conversion_factor(self.unit, unit)
 
 
 @dataclass(frozen=True)
 class Correction(FileTable):
-    """One faulty entry of a published table.
+    """Correction of one wrong entry of a published table.
 
     Parameters
     ----------
     entry : str
         ``name[term]`` for a coefficient, ``scale[letter]`` for a unit, or the name of an actuator parameter.
     printed, corrected : float
-        What the table says and what is used.
+        Printed value and value that is used.
     reason : str
-        How the fault is known.
+        Evidence for the error.
     """
 
     entry: str
@@ -74,17 +75,18 @@ class Correction(FileTable):
 
 @dataclass(frozen=True)
 class ProportionalDesign(FileTable):
-    """A decentralised P controller with low-pass (Eq. 21); see `gbid.control.p_controller`.
+    """Decentralised P controller with low-pass filter (Eq. 21); see `gbid.control.p_controller`.
 
     Attributes
     ----------
     kappa_x, kappa_y : float
         Gains [m/m].
     lowpass_hz : float
-        Corner of the low-pass [Hz].
+        Corner frequency of the low-pass filter [Hz].
     lowpass_order : int
+        Order of the low-pass filter.
     source : str
-        Where it stands.
+        Place in the publication.
     """
 
     kappa_x: Number
@@ -96,19 +98,20 @@ class ProportionalDesign(FileTable):
 
 @dataclass(frozen=True)
 class ReferenceModes(FileTable):
-    """Modes that a source gives for one operating point, as (natural frequency [Hz], damping factor).
+    """Modes that a source gives for one operating point.
 
     Attributes
     ----------
     pressure_bar, speed_rpm : float
         Operating point.
     loop : {"open", "closed"}
-    kind : {"expected", "measured"}
-        From the source's model, or from its recordings.
+        Without or with the controller.
+    kind : {"expected", "measured", "computed"}
+        Origin of the modes: the model of the source, its recordings, or a computation.
     modes : tuple of (float, float)
         Natural frequency [Hz] and damping factor.
     source : str
-        Where it stands.
+        Place in the publication.
     """
 
     pressure_bar: Number

@@ -1,4 +1,4 @@
-"""Symbolic models: delays, rotor-bearing, actuators, their series, and a user's own."""
+"""Model structures: delays, rotor-bearing, actuators, their series connection, and structures of a user."""
 
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices

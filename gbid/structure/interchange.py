@@ -1,4 +1,4 @@
-"""Linear models as objects of other libraries, and back."""
+"""Conversion of linear models to objects of other libraries, and back."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbid.structure.state_space import StateSpace
 
 
 def scipy_state_space(model: StateSpace) -> Any:
-    """Return ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
+    """Return the model as ``scipy.signal.StateSpace``; see `LinearModel.to_scipy`."""
     from scipy import signal
 
     _refuse_delays(model, "scipy")
@@ -20,7 +20,7 @@ def scipy_state_space(model: StateSpace) -> Any:
 
 
 def control_state_space(model: StateSpace) -> Any:
-    """Return ``control.StateSpace``; see `LinearModel.to_control`."""
+    """Return the model as ``control.StateSpace``; see `LinearModel.to_control`."""
     control = _python_control()
     _refuse_delays(model, "python-control")
     return control.StateSpace(
@@ -35,15 +35,15 @@ def control_state_space(model: StateSpace) -> Any:
 
 
 def from_state_space(system: Any, name: str | None) -> dict[str, Any]:
-    """Return the fields of a `LinearModel` that are the system's; see `LinearModel.from_control`."""
+    """Return the fields of a `LinearModel` given by a state-space system; see `LinearModel.from_control`."""
     if not all(hasattr(system, part) for part in ("A", "B", "C", "D", "dt", "input_labels")):
         raise UsageError(
-            f"a {type(system).__name__} is no state-space system of python-control; "
+            f"a {type(system).__name__} is not a state-space system of python-control; "
             "convert it first, control.ss(system)"
         )
     if system.dt is None or isinstance(system.dt, bool):
         raise UsageError(
-            f"system {system.name!r} has dt = {system.dt}, no sample time that counts; "
+            f"system {system.name!r} has dt = {system.dt}, which is not a sample time; "
             "set system.dt to 0 for continuous time, or to the sample time in seconds"
         )
     return {
@@ -67,11 +67,11 @@ def _python_control() -> Any:
 def _refuse_delays(model: StateSpace, library: str) -> None:
     if model.delay is not None:
         raise UsageError(
-            f"model {model.name!r} has exact delays, which {library} does not know; "
-            "turn them into states first, with_pade(model, order)"
+            f"model {model.name!r} has exact delays, which {library} does not support; "
+            "replace them by Pade approximations first: with_pade(model, order)"
         )
 
 
 def _labels(names: tuple[str, ...]) -> list[str]:
-    """Names that python-control takes: it keeps the dot for itself."""
+    """Return names without dots, which python-control reserves for itself."""
     return [name.replace(".", "_") for name in names]

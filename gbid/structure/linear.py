@@ -1,4 +1,4 @@
-"""Linear structures: symbolic state-space matrices as functions of named parameters."""
+"""Linear model structures: symbolic state-space matrices as functions of named parameters."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from gbid.structure.parameter import Parameter, Values
 
 
 class Matrices(NamedTuple):
-    """``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``, as casadi.SX.
+    """State-space matrices as casadi.SX.
 
-    `delay` (n_inputs, 1) is empty, and `B_delayed` without entries, where nothing is delayed exactly.
+    ``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``. Without exact delays `delay`
+    is empty and `B_delayed` has no entries.
 
     Attributes
     ----------
@@ -38,22 +39,24 @@ class Matrices(NamedTuple):
 
     @property
     def has_delay(self) -> bool:
-        """Whether inputs enter through an exact delay."""
+        """Whether inputs have exact delays."""
         return self.delay.numel() > 0
 
 
 @runtime_checkable
 class Structure(Protocol):
-    """What a fit asks of a structure: it knows its equations and parameters, and no solver.
+    """Model structure as a fit needs it: equations and parameters, independent of any solver.
 
     Attributes
     ----------
     name : str
+        Name of the structure.
     parameters : tuple of Parameter
+        Parameters in order.
     inputs, outputs : tuple of str
-        Signals of a recording that drive it and that it explains, unless a fit names others.
+        Default input and output signals of a recording; a fit can name others.
     intersample : {"zoh", "foh"}
-        How its inputs behave between samples, unless a fit says otherwise.
+        Default inter-sample behaviour of the inputs; a fit can name another.
     """
 
     @property
@@ -68,9 +71,9 @@ class Structure(Protocol):
     def intersample(self) -> Hold: ...  # noqa: D102
 
     def matrices(self, p: Values) -> Mapping[str, Any]:
-        """Return ``{"A", "B", "C", "D", "K"}`` as CasADi for symbolic parameters; D and K may be left out.
+        """Return ``{"A", "B", "C", "D", "K"}`` as CasADi matrices of the parameters; D and K may be left out.
 
-        ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together state an exact input delay.
+        ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together define an exact input delay.
 
         Parameters
         ----------
@@ -82,26 +85,27 @@ class Structure(Protocol):
 
 @dataclass(frozen=True)
 class LinearStructure:
-    """A structure of one's own.
+    """Linear model structure defined by a user.
 
     Parameters
     ----------
     name : str
+        Name of the structure.
     parameters : sequence of Parameter
-        Each with a start value.
+        Parameters, each with a start value.
     matrices : callable
         ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
-        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out;
-        ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs that enter late, exactly.
+        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out.
+        ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs with exact delays.
     inputs, outputs : str or sequence of str
-        Signals of the recordings; ``"p.x"`` picks one channel.
+        Signals of the recordings; ``"p.x"`` selects one channel.
     intersample : {"zoh", "foh"}
-        Behaviour of the inputs between samples.
+        Inter-sample behaviour of the inputs.
 
     Raises
     ------
     UsageError
-        When two parameters share a name, or nothing is to be explained.
+        When two parameters have the same name, or when there are no outputs.
 
     Examples
     --------
@@ -146,24 +150,24 @@ class LinearStructure:
 
 
 def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
-    """Return signal names as a tuple, whether one or several were given."""
+    """Return one signal name or several as a tuple."""
     return (names,) if isinstance(names, str) else tuple(names)
 
 
 def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
-    """Build a structure's matrices over one symbolic vector of all its parameters.
+    """Return the matrices of a structure as functions of one symbolic vector of its parameters.
 
     Returns
     -------
     casadi.SX
-        The parameters, (n_parameters, 1), in the structure's order.
+        The parameters, (n_parameters, 1), in the order of the structure.
     Matrices
-        Checked for shape, D and K filled with zeros where left out.
+        Matrices of checked shape; D and K are zero when they were left out.
 
     Raises
     ------
     UsageError
-        When the structure's function fails or gives matrices of wrong shape.
+        When the function of the structure fails or returns matrices of wrong shape.
     """
     p = ca.vertcat(*(ca.SX.sym(parameter.name) for parameter in structure.parameters))
     where = f"structure {structure.name!r}"
@@ -194,7 +198,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
         foreign = [symbol.name() for symbol in ca.Function("m", [p], [sx[letter]], {"allow_free": True}).free_sx()]
         if foreign:
-            raise UsageError(f"{where}: {letter} contains symbols that are no parameters: {', '.join(foreign)}")
+            raise UsageError(f"{where}: {letter} contains symbols that are not parameters: {', '.join(foreign)}")
     return p, Matrices(**sx)
 
 
@@ -204,14 +208,16 @@ def evaluate(
     input_names: tuple[str, ...] = (),
     output_names: tuple[str, ...] = (),
 ) -> LinearModel:
-    """Put numbers into a structure.
+    """Return the numeric model of a structure for given parameter values.
 
     Parameters
     ----------
     structure : Structure
+        The structure.
     values : dict of str to float
         A value for every parameter.
     input_names, output_names : tuple of str, optional
+        Names of the channels.
 
     Returns
     -------
@@ -245,7 +251,7 @@ def evaluate(
 
 
 def in_one_line(error: Exception) -> str:
-    """Return kind and text of an exception from a user's code; of several lines, as CasADi's, the last tells."""
+    """Return type and text of an exception in the code of a user; of a text with several lines, the last line."""
     lines = str(error).split("\n")
     return f"{type(error).__name__}: {lines[-1].strip()}"
 
@@ -260,4 +266,4 @@ def _as_matrix(value: Any, where: str) -> ca.SX:
             return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
         return ca.SX(ca.DM(np.atleast_2d(np.asarray(value, float))))
     except Exception as error:
-        raise UsageError(f"{where} is no matrix: {in_one_line(error)}") from None
+        raise UsageError(f"{where} is not a matrix: {in_one_line(error)}") from None

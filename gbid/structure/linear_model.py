@@ -1,4 +1,4 @@
-"""A linear model in numbers: what a fit gives and a loop is built from."""
+"""Linear model with numeric matrices: the result of a fit and the plant of a control loop."""
 
 from __future__ import annotations
 
@@ -25,23 +25,30 @@ class LinearModel:
     Parameters
     ----------
     A : (n, n) array
+        State matrix.
     B : (n, n_inputs) array
+        Input matrix.
     C : (n_outputs, n) array
+        Output matrix.
     D : (n_outputs, n_inputs) array
+        Feedthrough.
     K : (n, n_outputs) array, optional
         Disturbance gain (paper, Eq. 6: ``B_d``).
     dt : float, optional
         Sample time [s]; None for continuous time.
     input_names, output_names, state_names : tuple of str, optional
+        Names of the channels and states.
     name : str, optional
+        Name of the model.
     B_delayed : (n, n_inputs) array, optional
+        Input matrix of the delayed inputs: ``xd = A x + B u + B_delayed u(t - delay)``.
     delay : (n_inputs,) array, optional
-        Inputs that also enter late, ``xd = A x + B u + B_delayed u(t - delay)``, exactly [s]; continuous time only.
+        Exact input delays [s]; continuous time only.
 
     Raises
     ------
     UsageError
-        When shapes do not fit together, an entry is not finite, or the sample time is not positive.
+        When shapes do not fit together, when an entry is not finite, or when the sample time is not positive.
     """
 
     A: FloatArray
@@ -86,7 +93,7 @@ class LinearModel:
 
     @property
     def summary(self) -> str:
-        """Its name, number of states and time, on one line."""
+        """Name, number of states and kind of time, on one line."""
         time = "continuous time" if self.dt is None else f"samples of {self.dt:g} s"
         return f"{self.name}, {len(self.A)} states, {time}" + (", exact delays" if self.delay is not None else "")
 
@@ -103,52 +110,52 @@ class LinearModel:
         return int(self.A.shape[0])
 
     def poles(self) -> ComplexArray:
-        """Eigenvalues in continuous time [rad/s], shape (n,), by rising magnitude."""
+        """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
         poles = np.linalg.eigvals(self.A).astype(complex)
         if self.dt is not None:
-            with np.errstate(divide="ignore"):  # a pole at zero, as of a shift register, has decayed at once
+            with np.errstate(divide="ignore"):  # a discrete pole at zero, as of a shift register
                 poles = np.log(np.abs(poles)) / self.dt + 1j * np.angle(poles) / self.dt
         return poles[np.lexsort((poles.imag, np.abs(poles)))]
 
     def is_stable(self) -> bool:
-        """Whether all poles decay."""
+        """Return whether the model is asymptotically stable."""
         eigenvalues = np.linalg.eigvals(self.A)
         return bool((eigenvalues.real < 0).all() if self.dt is None else (np.abs(eigenvalues) < 1).all())
 
     def modes(self) -> list[tuple[float, float]]:
-        """Oscillatory modes as (natural frequency [Hz], damping factor [-]), by rising frequency.
+        """Return the oscillatory modes as (natural frequency [Hz], damping factor [-]), by rising frequency.
 
         A complex pair ``lambda`` has the natural frequency ``|lambda| / 2 pi`` and the damping factor
-        ``-Re(lambda) / |lambda|``. Real poles are no modes; `poles` lists them.
+        ``-Re(lambda) / |lambda|``. Real poles are not modes; `poles` returns them, too.
         """
         return [(frequency, damping) for frequency, damping in oscillatory_modes(self.poles()).tolist()]
 
     def static_gain(self) -> FloatArray:
-        """Gain at rest, shape (n_outputs, n_inputs).
+        """Return the static gain, shape (n_outputs, n_inputs).
 
         Raises
         ------
         UsageError
-            When the model integrates (a pole at zero): it has no gain at rest.
+            When the model has an integrator (a pole at zero) and therefore no static gain.
         """
         system = -self.A if self.dt is None else np.eye(self.n_states) - self.A
         if self.n_states and np.linalg.cond(system) > 1e15:
-            raise UsageError(f"model {self.name!r} has a pole at rest, so no static gain")
+            raise UsageError(f"model {self.name!r} has an integrator, so it has no static gain")
         B = self.B if self.B_delayed is None else self.B + self.B_delayed
         return np.asarray(self.C @ np.linalg.solve(system, B) + self.D)
 
     def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
-        """Response at given frequencies [Hz], shape (n_frequencies, n_outputs, n_inputs).
+        """Return the frequency response, shape (n_frequencies, n_outputs, n_inputs).
 
         Parameters
         ----------
         frequency_hz : (n_frequencies,) array
-            [Hz].
+            Frequencies [Hz].
 
         Raises
         ------
         UsageError
-            When a frequency is not finite or an undamped pole lies exactly on it.
+            When a frequency is not finite, or when an undamped pole lies exactly on it.
         """
         s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
         if not np.isfinite(s).all():
@@ -162,26 +169,27 @@ class LinearModel:
         try:
             states = np.linalg.solve(system, B)
         except np.linalg.LinAlgError:
-            raise UsageError(f"model {self.name!r} has a pole on one of the frequencies asked for") from None
+            raise UsageError(f"model {self.name!r} has a pole at one of the given frequencies") from None
         return np.asarray(self.C @ states + self.D)
 
     def discretise(self, sample_time: float) -> LinearModel:
-        """Return the model sampled with zero-order hold [s]; the disturbance is held as well.
+        """Return the discrete-time model for zero-order hold of inputs and disturbance.
 
         Parameters
         ----------
         sample_time : float
-            [s].
+            Sample time [s].
 
         Raises
         ------
         UsageError
-            When it is discrete already, or has exact delays: `with_pade` makes states of them first.
+            When the model is discrete already, or when it has exact delays (see `with_pade`).
         """
         self._require_continuous()
         if self.delay is not None:
             raise UsageError(
-                f"model {self.name!r} has exact delays: turn them into states first, with_pade(model, order)"
+                f"model {self.name!r} has exact delays; "
+                "replace them by Pade approximations first: with_pade(model, order)"
             )
         check_sample_time(self.name, sample_time)
         B = self.B if self.K is None else np.hstack([self.B, self.K])
@@ -197,27 +205,29 @@ class LinearModel:
         initial_state: npt.ArrayLike | None = None,
         intersample: str | Sequence[str] = "zoh",
     ) -> FloatArray:
-        """Simulate the response to sampled inputs.
+        """Return the response to sampled inputs.
 
         Parameters
         ----------
         inputs : (n_samples, n_inputs) array
+            Input signals.
         sample_time : float, optional
             Time between samples [s]; a discrete model has its own.
         initial_state : (n,) array, optional
             State at the first sample; zero when not given.
         intersample : {"zoh", "foh"} or sequence of these
-            Behaviour of the inputs between samples; that of a discrete model was settled when it was sampled.
+            Inter-sample behaviour of the inputs; for a discrete model it was fixed by its discretisation.
 
         Returns
         -------
         (n_samples, n_outputs) array
+            Output signals.
 
         Raises
         ------
         UsageError
-            When shapes do not fit, an input is not finite, the sample time is missing or differs, or
-            `intersample` is asked of a discrete model.
+            When shapes do not fit, when an input is not finite, when the sample time is missing or differs, or when
+            `intersample` is given for a discrete model.
         """
         F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
@@ -231,30 +241,32 @@ class LinearModel:
         initial_state: npt.ArrayLike | None = None,
         intersample: str | Sequence[str] = "zoh",
     ) -> FloatArray:
-        """Predict each output one sample ahead from measured inputs and outputs (paper, Eq. 10).
+        """Return one-step-ahead predictions of the outputs from measured inputs and outputs (paper, Eq. 10).
 
         Without a disturbance gain this is the simulation.
 
         Parameters
         ----------
         inputs : (n_samples, n_inputs) array
+            Input signals.
         outputs : (n_samples, n_outputs) array
-            Measured.
+            Measured outputs.
         sample_time : float, optional
             Time between samples [s]; a discrete model has its own.
         initial_state : (n,) array, optional
             State at the first sample; zero when not given.
         intersample : {"zoh", "foh"} or sequence of these
-            Behaviour of the inputs between samples.
+            Inter-sample behaviour of the inputs.
 
         Returns
         -------
         (n_samples, n_outputs) array
+            Predicted outputs.
 
         Raises
         ------
         UsageError
-            As `simulate`, or when the outputs do not fit.
+            As for `simulate`, or when the outputs do not fit.
         """
         F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
         y = np.asarray(outputs, float)
@@ -269,37 +281,38 @@ class LinearModel:
         return np.asarray(propagate(F, forcing, x0) @ self.C.T + u @ self.D.T)
 
     def to_scipy(self) -> Any:
-        """Return the model as ``scipy.signal.StateSpace``; names and disturbance gain stay behind.
+        """Return the model as ``scipy.signal.StateSpace``, without names and disturbance gain.
 
         Raises
         ------
         UsageError
-            When it has exact delays; `with_pade` makes states of them.
+            When the model has exact delays; replace them first with `with_pade`.
         """
         return scipy_state_space(self)
 
     def to_control(self) -> Any:
-        """Return the model as ``control.StateSpace`` with its names; the disturbance gain stays behind.
+        """Return the model as ``control.StateSpace`` with its names, without the disturbance gain.
 
-        Dots in names become underscores: python-control keeps the dot for itself.
+        Dots in names become underscores, because python-control reserves the dot.
 
         Raises
         ------
         UsageError
-            When it has exact delays (`with_pade` makes states of them), or python-control is not installed: the
-            extra ``gbid[control]``.
+            When the model has exact delays (replace them first with `with_pade`), or when python-control is not
+            installed: install the extra ``gbid[control]``.
         """
         return control_state_space(self)
 
     @classmethod
     def from_control(cls, system: Any, name: str | None = None) -> LinearModel:
-        """Take over a state-space system of python-control.
+        """Return the model of a state-space system of python-control.
 
         Parameters
         ----------
         system : control.StateSpace
+            The system.
         name : str, optional
-            In place of the system's own.
+            Name of the model; by default that of the system.
 
         Returns
         -------
@@ -308,13 +321,14 @@ class LinearModel:
         Raises
         ------
         UsageError
-            When it is another kind of system, or its ``dt`` is None or True, so that nobody knows its time.
+            When it is another type of system, or when its ``dt`` is None or True and the sample time is therefore
+            unknown.
         """
         return cls(**from_state_space(system, name))
 
     def _check_delay(self, n: int, n_u: int) -> None:
         if (self.delay is None) != (self.B_delayed is None):
-            raise UsageError(f"model {self.name!r}: delay and B_delayed go together")
+            raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
         if self.delay is None:
             return
         delay, B_delayed = np.array(self.delay, float), np.array(self.B_delayed, float)
@@ -324,7 +338,7 @@ class LinearModel:
                 f"expected {(n_u,)} and {(n, n_u)}"
             )
         if self.dt is not None:
-            raise UsageError(f"model {self.name!r}: an exact delay belongs to continuous time")
+            raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
         if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
             raise UsageError(f"model {self.name!r}: delays must be finite and not negative, B_delayed finite")
         for name, value in (("delay", delay), ("B_delayed", B_delayed)):

@@ -1,4 +1,4 @@
-"""Exact delays of a model turned into states."""
+"""Models with exact delays converted to Pade approximations."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gbid.structure.linear_model import LinearModel
 
 
 def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
-    """Replace the exact input delays of a model by Pade all-passes, as loops and eigenvalues need them.
+    """Return a model whose exact input delays are replaced by Pade approximations, for eigenvalues and control loops.
 
     Parameters
     ----------
     model : LinearModel
-        In continuous time; one without delays is returned as it is.
+        Model in continuous time; a model without delays is returned unchanged.
     order : int
         Order of the approximation.
 
     Returns
     -------
     LinearModel
-        With `order` more states for each delayed input.
+        Model with `order` more states for each delayed input.
 
     Raises
     ------

@@ -13,17 +13,17 @@ from gbid.errors import UsageError
 
 @dataclass(frozen=True)
 class Parameter:
-    """One unknown (or fixed) number of a structure.
+    """Parameter of a structure, free or fixed.
 
     Parameters
     ----------
     name : str
         A Python identifier.
     start : float or None
-        Where the fit starts, or the value of a fixed parameter. None: to be found from the data, which the
-        built-in structures can.
+        Start value of the fit, or value of a fixed parameter. With None the start value is estimated from the data,
+        which only the built-in structures support.
     lower, upper : float
-        Bounds; the estimate stays within them.
+        Bounds of the estimate.
     fixed : bool
         Whether the parameter keeps its start value.
     unit : str
@@ -32,8 +32,8 @@ class Parameter:
     Raises
     ------
     UsageError
-        When the name is no identifier, the bounds exclude the start or each other, or a fixed parameter has
-        no value.
+        When the name is not an identifier, when the bounds exclude the start value or each other, or when a fixed
+        parameter has no value.
     """
 
     name: str
@@ -83,17 +83,17 @@ class Values(dict[str, Any]):
 
     @classmethod
     def of(cls, parameters: tuple[Parameter, ...], values: Any) -> Values:
-        """Pair parameters with a vector of values (numeric or symbolic)."""
+        """Return the values of parameters, taken from a vector of numbers or symbols."""
         return cls({parameter.name: values[i] for i, parameter in enumerate(parameters)})
 
 
 def known_names(parameters: tuple[Parameter, ...], given: Mapping[str, Any], what: str) -> None:
-    """Refuse names that are no parameters.
+    """Refuse names that are not parameters.
 
     Raises
     ------
     UsageError
-        Naming the unknown ones and those there are.
+        When a name is unknown; the text lists the unknown and the known names.
     """
     names = [parameter.name for parameter in parameters]
     unknown = [name for name in given if name not in names]

@@ -1,4 +1,4 @@
-"""Two pairs of PD-controlled piezo actuators: paper, Sec. 3.3."""
+"""Structure of two pairs of PD-controlled piezo actuators (paper, Sec. 3.3)."""
 
 from __future__ import annotations
 
@@ -16,15 +16,16 @@ AXES = ("x", "y")
 
 @dataclass(frozen=True)
 class PiezoPair:
-    """Per axis ``kappa / ((s/p1 + 1) (s/p2 + 1))`` from reference r to position difference u (Eqs. 12 to 14).
+    """Piezo pairs with the transfer function ``kappa / ((s/p1 + 1) (s/p2 + 1))`` per axis, from r to u (Eqs. 12 to 14).
 
-    States ``[after the slow pole, u]`` for x, then for y.
+    The input is the position reference r, the output the position difference u. The states are
+    ``[output of the slow pole, u]`` for x, then for y.
 
     Parameters
     ----------
     disturbance_gain : {"none", "full"}
-        Whether the disturbance d_a drives the states of its own axis by gains to be estimated (Eq. 14), or
-        the output alone, as the parameter list of Eq. 13 has it.
+        ``"full"``: the disturbance d_a acts on the states of its own axis with gains to be estimated (Eq. 14).
+        ``"none"``: it acts on the output only, as in the parameter list of Eq. 13.
     """
 
     disturbance_gain: Literal["none", "full"] = "none"

@@ -1,4 +1,4 @@
-"""Actuators and rotor-bearing in series: paper, Eqs. 3 and 20."""
+"""Structure of actuators and rotor-bearing in series (paper, Eqs. 3 and 20)."""
 
 from __future__ import annotations
 
@@ -18,18 +18,20 @@ from gbid.structure.rotor_bearing import RotorBearing
 
 @dataclass(frozen=True)
 class Plant:
-    """``G = G_rb G_act``: from the references r to the piezo positions u and the disc position p.
+    """Plant ``G = G_rb G_act``: from the references r to the piezo positions u and the disc position p.
 
-    The references are held between samples, so this structure has no error from the hold. States are those of
-    the actuators, then those of the rotor-bearing.
+    The references are really held between samples, so zero-order hold is exact for this structure. The states are
+    those of the actuators, then those of the rotor-bearing.
 
     Parameters
     ----------
     bearing : RotorBearing
+        Structure of rotor and bearing.
     actuators : PiezoPair
+        Structure of the actuators.
     outputs : ("u", "p") or ("p",)
-        What it explains. From r to p alone the actuators' gain and the input gain enter only as their
-        product, so a fit must then hold the actuators' parameters (``fit(..., fixed={...})``).
+        Output signals. From r to p alone only the product of actuator gain and input gain can be identified, so a fit
+        must then fix the parameters of the actuators (``fit(..., fixed={...})``).
     """
 
     bearing: RotorBearing = field(default_factory=RotorBearing)
@@ -49,11 +51,11 @@ class Plant:
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Those of the actuators, then those of the rotor-bearing."""
+        """Parameters of the actuators, then those of the rotor-bearing."""
         return (*self.actuators.parameters, *self.bearing.parameters)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return A, B, C, D and K of the series for parameters by name."""
+        """Return the matrices A, B, C, D and K of the series connection."""
         act, rb = self.actuators.matrices(p), self.bearing.matrices(p)
         if self.bearing.delay == "exact":
             return self._with_exact_delay(act, rb)
@@ -70,9 +72,10 @@ class Plant:
         }
 
     def _with_exact_delay(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
-        """Series with the delay moved to the references: it commutes with the actuators of its axis.
+        """Return the series connection with the delays moved to the references.
 
-        Where u is explained as well, the actuators are there twice, once without and once with the delay.
+        Each delay commutes with the actuator of its axis. When u is an output as well, the actuators occur twice,
+        once without and once with the delay.
         """
         n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
         late = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B_delayed"] @ act["C"], rb["A"]]])
@@ -96,6 +99,6 @@ class Plant:
         return "u" in self.outputs
 
     def _disturbance_gain(self, n_before: int, K: ca.SX) -> ca.SX:
-        """Gain of the bearing's disturbance over all states and outputs."""
+        """Return the gain of the disturbance of the bearing, for all states and outputs."""
         below = ca.vertcat(ca.SX(n_before, 2), K)
         return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below

@@ -1,4 +1,4 @@
-"""The rotor on its controllable gas bearing: paper, Sec. 3.2."""
+"""Structure of the rotor on its controllable gas bearing (paper, Sec. 3.2)."""
 
 from __future__ import annotations
 
@@ -28,22 +28,23 @@ _UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)"}
 
 @dataclass(frozen=True)
 class RotorBearing:
-    """Two coupled degrees of freedom, driven through two delays.
+    """Rotor and gas bearing: two coupled degrees of freedom with two input delays.
 
-    ``pdd = K p + D pd + B u(t - tau)`` per unit mass (Eqs. 5 to 7), delays as Pade all-passes (Eq. 9), states
-    ``[p_x, p_y, pd_x, pd_y, delay states]`` (Eq. 10), disturbances entering the velocity rows by ``B_d``
-    (Eqs. 7, 11). Input u, output p.
+    ``pdd = K p + D pd + B u(t - tau)`` per unit mass (Eqs. 5 to 7), with delays as Pade all-pass filters (Eq. 9). The
+    states are ``[p_x, p_y, pd_x, pd_y, delay states]`` (Eq. 10). Disturbances enter the velocity rows through ``B_d``
+    (Eqs. 7, 11). The input is u, the output is p.
 
     Parameters
     ----------
     pade_order : int
-        Order of the delays' approximation; 1 is the paper's.
+        Order of the approximation of the delays; the paper uses 1.
     delay : {"pade", "exact"}
-        Delays as all-pass filters of `pade_order`, or exact (fractions of a sample included); then there are
-        no delay states, and a model of it simulates and answers in frequency with the exact delay.
+        Delays as all-pass filters of `pade_order`, or exact for any fraction of a sample. With exact delays there are
+        no delay states, and simulation and frequency response of the model use the exact delay.
     disturbance_gain : {"full", "diagonal", "states", "none"}
-        Which entries of ``B_d`` are estimated: all four, two, or none; "states" lets disturbances enter the position
-        rows as well, by ``B_p`` (bp_xx to bp_yy [1/s]), as a steady Kalman filter does: for a rotor that is shaken.
+        Entries of ``B_d`` that are estimated: all four, two, or none. With "states" disturbances also enter the
+        position rows through ``B_p`` (bp_xx to bp_yy [1/s]), as in a steady-state Kalman filter. This is for a rotor
+        with process noise.
     """
 
     pade_order: int = 1
@@ -69,7 +70,7 @@ class RotorBearing:
     def parameters(self) -> tuple[Parameter, ...]:
         """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gains bd and bp."""
         coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
-        # A delay at or below zero has an unstable Pade pole or none; a microsecond is far below a sample.
+        # A negative delay has an unstable Pade pole, and a zero delay has none. The lower bound is far below a sample.
         delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
         gains = [
             Parameter(name, 0.0, -inf, inf, unit="1/s" if name.startswith("bp") else "1/s^2")
@@ -78,7 +79,7 @@ class RotorBearing:
         return (*coefficients, *delays, *gains)
 
     def matrices(self, p: Values) -> dict[str, Any]:
-        """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays, for parameters by name."""
+        """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays."""
         stiffness, damping, input_gain = (_square(p, letter) for letter in "kdb")
         if self.delay == "exact":
             zero, eye = ca.SX(2, 2), ca.SX.eye(2)

@@ -1,4 +1,4 @@
-"""A simulation of a linear model over sampled inputs, made ready: transition, forcing and initial state."""
+"""Preparation of a simulation over sampled inputs: state transition, forcing and initial state."""
 
 from __future__ import annotations
 
@@ -20,30 +20,36 @@ def sampled_run(
     initial_state: npt.ArrayLike | None,
     intersample: str | Sequence[str],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Check the inputs of a simulation, and prepare its recursion ``x[k+1] = F x[k] + f[k]``.
+    """Return the recursion ``x[k+1] = F x[k] + f[k]`` of a simulation, after a check of its inputs.
 
     Parameters
     ----------
     model : StateSpace
+        The model.
     inputs : (n_samples, n_inputs) array
+        Input signals.
     sample_time : float, optional
         Time between samples [s]; a discrete model has its own.
     initial_state : (n,) array, optional
+        State at the first sample; zero when not given.
     intersample : {"zoh", "foh"} or sequence of these
+        Inter-sample behaviour of the inputs.
 
     Returns
     -------
     F : (n, n) array
         State transition.
     f : (n_samples, n) array
-        What the inputs add to the state, late ones included.
+        Effect of the inputs on the state, with delayed inputs.
     inputs : (n_samples, n_inputs) array
+        Inputs as a float array.
     initial_state : (n,) array
+        State at the first sample.
 
     Raises
     ------
     UsageError
-        As `LinearModel.simulate`.
+        As for `LinearModel.simulate`.
     """
     u = np.asarray(inputs, float)
     if u.ndim != 2 or u.shape[1] != model.B.shape[1]:
@@ -72,7 +78,7 @@ def sampled_run(
 
 
 def _delayed_forcing(model: StateSpace, u: FloatArray, sample_time: float, holds: Sequence[Hold]) -> FloatArray:
-    """Sum up what the late inputs add to the state; before the record they stood at its first value."""
+    """Return the effect of the delayed inputs on the state; before the record they have their first value."""
     assert model.delay is not None
     assert model.B_delayed is not None
     forcing = np.zeros((len(u), len(model.A)))

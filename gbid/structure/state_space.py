@@ -1,4 +1,4 @@
-"""What a state-space model has, for functions that need no more than its matrices and names."""
+"""Protocol of a state-space model, for functions that need only its matrices and names."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gbid.arrays import FloatArray
 
 
 class StateSpace(Protocol):
-    """Matrices and names of a `LinearModel`; see there."""
+    """Matrices and names of a `LinearModel`."""
 
     @property
     def A(self) -> FloatArray:
@@ -37,7 +37,7 @@ class StateSpace(Protocol):
 
     @property
     def B_delayed(self) -> FloatArray | None:
-        """Input matrix of late inputs (n, n_inputs)."""
+        """Input matrix of delayed inputs (n, n_inputs)."""
         ...
 
     @property

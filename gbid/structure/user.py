@@ -1,4 +1,4 @@
-"""A user's own structure from a Python file."""
+"""Structure of a user, loaded from a Python file."""
 
 from __future__ import annotations
 
@@ -10,24 +10,24 @@ from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 
 
 def load_structure(reference: str, folder: Path | None = None) -> Structure:
-    """Load a structure named as ``file.py:name``.
+    """Return the structure named as ``file.py:name``.
 
     Parameters
     ----------
     reference : str
-        Python file and the name in it: a structure, or a function without arguments that returns one.
+        Python file and name in it: a structure, or a function without arguments that returns one.
     folder : pathlib.Path, optional
-        Where a relative file name starts from; the current folder when not given.
+        Folder for a relative file name; the current folder when not given.
 
     Returns
     -------
     Structure
-        Its matrices have been built once, so shapes are right.
+        The structure, after a check of the shapes of its matrices.
 
     Raises
     ------
     UsageError
-        When the file is missing, fails to import, has no such name, or the matrices do not fit.
+        When the file is missing, when its import fails, when it has no such name, or when the matrices do not fit.
     """
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
@@ -52,7 +52,7 @@ def load_structure(reference: str, folder: Path | None = None) -> Structure:
         except Exception as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
     if not isinstance(structure, Structure):
-        raise UsageError(f"{path}: {name} is no structure; make it a gbid.LinearStructure")
+        raise UsageError(f"{path}: {name} is not a structure; make it a gbid.LinearStructure")
     try:
         symbolic_matrices(structure)
     except UsageError as error:

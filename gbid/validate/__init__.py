@@ -1,4 +1,4 @@
-"""Validation: fit percent, cross-validation and its summary, residual tests, the nominal actuator."""
+"""Validation: fit percent, cross-validation and its summary, residual tests, nominal actuator."""
 
 from gbid.validate.central import ActuatorOutlier, NominalActuator, nominal_actuator
 from gbid.validate.crossval import Validation, cross_validate, estimate_initial_state

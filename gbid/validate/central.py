@@ -1,4 +1,4 @@
-"""The nominal actuator: the most central of many models, and those that lie off (paper, Sec. 3.7, Fig. 8)."""
+"""Nominal actuator: the most central of many models, and outliers among them (paper, Sec. 3.7, Fig. 8)."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ ACTUATOR = tuple(f"{name}_{axis}" for axis in "xy" for name in ("p1", "p2", "kap
 """Parameters of an actuator model: a slow pole, a fast pole and a gain for each axis (Eq. 12)."""
 
 _MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
-_EFFICIENCY = 0.37  # of the median absolute deviation, beside the standard deviation, for normal data
+_EFFICIENCY = 0.37  # efficiency of the median absolute deviation relative to the standard deviation, for normal data
 _LEAST = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
-_FALSE_ALARM = 0.05  # probability that any entry is named when all are normal
+_FALSE_ALARM = 0.05  # probability of at least one outlier when all entries are normal
 
 
 @dataclass(frozen=True)
 class ActuatorOutlier:
-    """A parameter of a model that lies off those of the others.
+    """Outlier: a parameter of one model that differs much from the other models.
 
     Attributes
     ----------
     model, parameter : str
+        Names of the model and of the parameter.
     kind : {"pole", "gain"}
+        Kind of parameter.
     value : float
-        [rad/s] for a pole, [m/m] for a gain.
+        Value in this model, [rad/s] for a pole, [m/m] for a gain.
     typical : float
-        Median over the models.
+        Median over the models, in the same unit.
     z : float
-        Deviation of the logarithm in robust standard deviations.
+        Deviation of the logarithm from the median, in robust standard deviations.
     """
 
     model: str
@@ -47,7 +49,7 @@ class ActuatorOutlier:
 
     @property
     def reason(self) -> str:
-        """The finding in words."""
+        """Text with parameter, value, median and deviation."""
         unit = " rad/s" if self.kind == "pole" else ""
         return (
             f"{self.parameter} = {self.value:.4g}{unit}, median {self.typical:.4g}{unit}: "
@@ -57,31 +59,32 @@ class ActuatorOutlier:
 
 @dataclass(frozen=True, eq=False)
 class NominalActuator:
-    """The most central of many actuator models; n models, six parameters.
+    """Most central of n actuator models with six parameters.
 
     Attributes
     ----------
     name : str
-        The model that was chosen.
+        Name of the chosen model.
     parameters : dict of str to float
-        Its poles [rad/s], the slow one first, and gains.
+        Its poles [rad/s], the slow one first, and gains [m/m].
     std : dict of str to float
-        Their standard deviations from its fit; nan where there is none.
+        Their standard deviations from its fit; nan where they are unknown.
     models : tuple of str, n
-        The models that it was chosen from.
+        Names of all models that were compared.
     parameter_names : tuple of str, 6
+        Names of the parameters, in the order of the columns below.
     values : (n, 6) array
-        Parameters of all models, the slow pole first.
+        Parameters of all models, the slow pole first [rad/s, m/m].
     z : (n, 6) array
         Deviations of their logarithms from the medians, in robust standard deviations.
     distances : (n,) array
-        Mean distance of each model to the others, in robust standard deviations; the smallest is the chosen one's.
+        Mean distance of each model to the others, in robust standard deviations. The chosen model has the smallest.
     limit : float
-        The `z` beyond which a parameter lies off.
+        Largest absolute `z` that is not an outlier.
     outliers : tuple of ActuatorOutlier
-        The farthest first.
+        Outliers, the farthest first.
     left_out : tuple of str
-        Models that were not looked at, and why.
+        Models that were not compared, with the reason.
     """
 
     name: str
@@ -107,14 +110,14 @@ class NominalActuator:
 
 
 def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = None) -> NominalActuator:
-    """Choose the most central of many actuator models, and name those that lie off.
+    """Return the most central of many actuator models, with the outliers among them.
 
     Parameters
     ----------
     models : FitTable or sequence of FitResult
         Fits of `gbid.PiezoPair`, or others with its parameters. Fits that failed or did not converge are left out.
     fit : str, optional
-        Which fit of a table with several.
+        Name of the fit, when a table has several.
 
     Returns
     -------
@@ -123,32 +126,34 @@ def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = N
     Raises
     ------
     UsageError
-        When the fits do not have the parameters of an actuator, or a table holds several fits and `fit` is not given.
+        When the fits do not have the parameters of an actuator, or when a table has several fits and `fit` is not
+        given.
     DataError
-        When none of them converged.
+        When no fit converged.
 
-    Notes
-    -----
-    Poles and gains scatter by factors, so their logarithms are compared. The two poles of an axis are sorted: a fit
-    may find them in either order. Each column is centred by its median and scaled by its median absolute deviation,
-    which outliers do not move. The nominal model is the medoid: the one with the smallest sum of distances to all
-    others (Kaufman and Rousseeuw, *Finding Groups in Data*, 1990), so it is a model that was identified, as the
-    paper's No. 39, and consistent in itself, which a mean or a median of each parameter is not. Distances are not
-    squared, so far ones do not pull.
+    Notes ----- Poles and gains scatter by factors, so their logarithms are compared. The two poles of an axis are
+    sorted, because a fit may find them in either order. Each column is centred by its median and scaled by its median
+    absolute deviation; outliers change neither. The nominal model is the medoid: the model with the smallest sum of
+    distances to all others (Kaufman and Rousseeuw, *Finding Groups in Data*, 1990). So it is one of the identified
+    models, as No. 39 in the paper, and its parameters belong together; this does not hold for a mean or median of
+    each parameter. Distances are not squared, so far models have little effect.
 
-    The scale of a column is no smaller than the typical standard deviation of its estimates, so that what those
-    explain is no outlier. A parameter lies off when ``|z| > 3.5`` (Iglewicz and Hoaglin 1993), or more where so many
-    numbers are looked at that normal ones would go beyond by chance, and where the scale is known roughly only: the
-    limit is a quantile of Student's distribution, with 0.37 (n - 1) degrees of freedom, the efficiency of the scale.
-    Other rules that were weighed: the Mahalanobis distance from a robust
-    covariance (needs many more models than parameters), and the model with the best cross-validation (the fits of
-    actuators differ by hundredths of a percent, which says little about poles).
+    The scale of a column is at least the median standard deviation of its estimates, so that a deviation within the
+    uncertainty of the estimates is not an outlier. A parameter is an outlier when ``|z| > 3.5`` (Iglewicz and Hoaglin
+    1993). The limit is larger for many parameters, because some normal values then exceed 3.5 by chance, and for few
+    models, because the scale is then uncertain. It is a quantile of Student's t distribution with 0.37 (n - 1)
+    degrees of freedom, where 0.37 is the efficiency of the scale.
+
+    Two other rules were considered. The Mahalanobis distance from a robust covariance needs many more models than
+    parameters. The best cross-validation does not separate the models: fits of actuators differ by hundredths of a
+    percent, which does not determine the poles.
     """
     table = _one_fit(models, fit)
     missing = [name for name in ACTUATOR if name not in table.parameter_names]
     if missing:
         raise UsageError(
-            f"no actuator models: they have no {', '.join(missing)}; give fits of PiezoPair (structure: piezo_pair)"
+            f"the fits are not actuator models, they have no {', '.join(missing)}; give fits of PiezoPair "
+            "(structure: piezo_pair)"
         )
     values = np.column_stack([table.parameter(name) for name in ACTUATOR])
     std = np.column_stack([table.std[:, table.parameter_names.index(name)] for name in ACTUATOR])
@@ -204,12 +209,12 @@ def _one_fit(models: FitTable | Sequence[FitResult], fit: str | None) -> FitTabl
         return models.select(fit=fit)
     several = list(dict.fromkeys(models.fit.tolist()))
     if len(several) > 1:
-        raise UsageError(f"the table holds the fits {', '.join(several)}; say which one: fit={several[0]!r}")
+        raise UsageError(f"the table holds the fits {', '.join(several)}; choose one: fit={several[0]!r}")
     return models
 
 
 def _robust_z(logs: FloatArray, own: FloatArray) -> FloatArray:
-    """Standardise by medians, columns apart; `own` are the standard deviations of the single estimates."""
+    """Return the columns standardised by median and robust scale; `own` has the standard deviation of each estimate."""
     deviation = logs - np.median(logs, axis=0)
     scale = _MAD * np.median(np.abs(deviation), axis=0)
     typical = [np.median(column[np.isfinite(column)]) if np.isfinite(column).any() else 0.0 for column in own.T]

@@ -1,4 +1,4 @@
-"""A model against a recording that it was not fitted to: paper, Sec. 3.8."""
+"""Cross-validation: simulation of a model on a recording to which it was not fitted (paper, Sec. 3.8)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.structure import LinearModel
 from gbid.validate.fit_percent import fit_percent
 
 Ranges = Sequence[tuple[int, int]]
-"""Stretches of samples, each from its first to before its second number."""
+"""Ranges of samples (start, stop); the stop sample is not part of the range."""
 Selection = tuple[FloatArray, list[str], list[str]]
 
 
@@ -27,23 +27,25 @@ class Validation:
     Attributes
     ----------
     recording : str
-        Recording that the model was put to.
+        Name of the validation recording.
     fitted_to : tuple of str
-        Recordings that the model came from.
+        Recordings to which the model was fitted.
     fit_percent : (n_outputs,) array
         ``100 (1 - |y - yhat| / |y - mean y|)``.
     infinity_norm : (n_outputs,) array
-        Largest deviation, in the outputs' units.
+        Largest deviation, in the units of the outputs.
     measured, simulated : (n_samples, n_outputs) array
-        Samples that were left out are there too; they count for nothing above.
+        Outputs, also at samples that do not count for the figures above.
     inputs : (n_samples, n_inputs) array
+        Inputs of the simulation.
     time : (n_samples,) array
-        From the first sample [s].
+        Time from the first sample [s].
     initial_state : (n_states,) array
-        Estimated on this recording.
+        Initial state, estimated on this recording.
     input_names, output_names, input_units, output_units : tuple of str
+        Names and units of the channels.
     conditions : dict of str to float
-        Those of the recording.
+        Operating point of the recording.
     """
 
     recording: str
@@ -63,18 +65,19 @@ class Validation:
 
 
 def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = ()) -> Validation:
-    """Simulate a fitted model on a recording, its initial state estimated there.
+    """Return the simulation of a fitted model on a recording, with its fit percent and largest deviation.
 
-    The measured outputs are used for the initial state alone, and for the outputs' offsets when the fit estimated
-    offsets; the model then runs on the inputs.
+    The initial state is estimated from the measured outputs, and so are the offsets of the outputs when the fit
+    estimated offsets. Otherwise the simulation uses the inputs only.
 
     Parameters
     ----------
     result : FitResult
-        Says model, signals and the behaviour of the inputs between samples.
+        Fit with the model, the signals and the inter-sample behaviour of the inputs.
     recording : Recording
+        Validation recording.
     left_out : sequence of (start, stop)
-        Stretches of samples whose outputs do not count, as in `gbid.fit`; the model runs through them.
+        Ranges of samples whose outputs do not count, as in `gbid.fit`. The model is simulated through them.
 
     Returns
     -------
@@ -83,7 +86,8 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
     Raises
     ------
     DataError
-        When the recording lacks a signal or has another sample time, no sample counts, or the simulation overflows.
+        When the recording lacks a signal or has another sample time, when no sample counts, or when the simulation
+        overflows.
     """
     (u, input_names, input_units), (y, output_names, output_units) = selected(result, recording)
     model, between, offsets = result.model, result.options.intersample, result.options.offsets
@@ -126,7 +130,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
 
 
 def selected(result: FitResult, recording: Recording) -> tuple[Selection, Selection]:
-    """Take a fit's inputs and outputs from a recording.
+    """Return the inputs and outputs of a fit from a recording, each as values, names and units.
 
     Raises
     ------
@@ -136,18 +140,18 @@ def selected(result: FitResult, recording: Recording) -> tuple[Selection, Select
     if not np.isclose(recording.sample_time, result.sample_time, rtol=1e-6, atol=0):
         raise DataError(
             f"recording {recording.name!r} has sample time {recording.sample_time:g} s; the model was fitted at "
-            f"{result.sample_time:g} s, and its delays are tied to it"
+            f"{result.sample_time:g} s: resample the recording"
         )
     return select(recording, result.options.inputs), select(recording, result.options.outputs)
 
 
 def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
-    """Tell which samples count when some stretches are left out; None when all do.
+    """Return which samples count when some ranges are left out; None when all count.
 
     Raises
     ------
     DataError
-        When a stretch lies beyond the recording, or no sample is left.
+        When a range lies outside the recording, or when no sample remains.
     """
     counted = np.ones(recording.n_samples, dtype=bool)
     for start, stop in left_out:
@@ -176,27 +180,30 @@ def estimate_initial_state(
     offsets: bool = False,
     counted: BoolArray | None = None,
 ) -> FloatArray:
-    """Find the initial state with which a simulation comes nearest to the measured outputs.
+    """Return the initial state whose simulation is closest to the measured outputs, by least squares.
 
     Parameters
     ----------
     model : LinearModel
-        In continuous time.
+        Model in continuous time.
     inputs : (n_samples, n_inputs) array
+        Input signals.
     outputs : (n_samples, n_outputs) array
+        Measured outputs.
     sample_time : float
         Time between samples [s].
-    intersample : {"zoh", "foh"} or list of these
+    intersample : {"zoh", "foh"} or sequence of these
+        Inter-sample behaviour of the inputs.
     offsets : bool
-        Whether a constant offset of each output is estimated beside it. It is the mean of what a simulation from
-        this state leaves over.
+        Whether a constant offset of each output is estimated together with the state. The offset is the mean of the
+        residual of the simulation from this state.
     counted : (n_samples,) array of bool, optional
         Samples whose outputs count; all by default.
 
     Returns
     -------
     (n_states,) array
-        The least-squares solution of smallest norm.
+        Least-squares solution of smallest norm.
     """
     n = model.n_states
     rest = outputs - model.simulate(inputs, sample_time, intersample=intersample)
@@ -205,7 +212,7 @@ def estimate_initial_state(
     free = np.stack([propagate(F, silent, unit) @ model.C.T for unit in np.eye(n)], axis=2)
     if counted is not None:
         free, rest = free[counted], rest[counted]
-    if offsets:  # taking means off leaves what no offset explains
+    if offsets:  # without means, the constant offsets drop out of the problem
         free, rest = free - free.mean(axis=0), rest - rest.mean(axis=0)
     columns = free.reshape(-1, n)
     size = np.linalg.norm(columns, axis=0)

@@ -1,4 +1,4 @@
-"""Many models against many recordings: the scores of `cross_validate`, at a hundredth of its time."""
+"""Cross-validation of many models on many recordings, about a hundred times faster than `cross_validate`."""
 
 from __future__ import annotations
 
@@ -16,25 +16,30 @@ from gbid.structure import LinearModel
 from gbid.validate.crossval import Ranges, counted_samples, selected
 from gbid.validate.scores import ValidationScores, join_scores
 
-_WELL_APART = 1e5  # condition of the eigenvectors up to which the modes are run one by one
-_NOTHING = 1e-17  # of a basis vector of length one
+_WELL_APART = 1e5  # largest condition number of the eigenvectors at which the modes are simulated one by one
+_NOTHING = 1e-17  # smaller entries of a basis vector of length one are taken as zero
 
 
 @dataclass(frozen=True, eq=False)
 class ValidationData:
-    """Inputs and outputs of one recording, laid out for many models.
+    """Inputs and outputs of one recording, arranged for the simulation of many models.
 
     Attributes
     ----------
     name : str
+        Name of the recording.
     conditions : dict of str to float
+        Operating point of the recording.
     sample_time : float
-        [s].
+        Time between samples [s].
     inputs : (n_inputs, n_samples) array
+        Input signals.
     outputs : (n_outputs, n_samples) array
+        Measured outputs.
     counted : (n_samples,) array of bool or None
-        Samples that count; None when all do.
+        Samples that count; None when all count.
     input_names, output_names, output_units : tuple of str
+        Names and units of the channels.
     spread : (n_outputs,) array
         Norm of each output about its mean.
     """
@@ -53,21 +58,22 @@ class ValidationData:
 
 @dataclass(frozen=True, eq=False)
 class Simulator:
-    """A fitted model made ready to be simulated on many recordings.
+    """Fitted model prepared for the simulation on many recordings.
 
-    The modes of ``x[k+1] = F x[k] + G u[k] + G_next u[k+1]`` are filters of first order, run one by one. What free
-    responses from any initial state span is kept as an orthonormal basis, so that the best initial state costs a
-    projection.
+    The modes of ``x[k+1] = F x[k] + G u[k] + G_next u[k+1]`` are simulated one by one as filters of first order. The
+    free responses from all initial states have an orthonormal basis, which is stored. So the best initial state is
+    found by a projection.
 
     Attributes
     ----------
     result : FitResult
+        The fit.
     poles : (n_modes,) complex array or None
-        One of each conjugate pair; None where modes lie too close together to be run apart.
+        Poles, one of each conjugate pair; None when the eigenvectors are too ill-conditioned for modes.
     drive, lead : (n_modes, n_inputs) complex array
-        What ``u[k]`` and ``u[k+1]`` do to the modes.
+        Effect of ``u[k]`` and ``u[k+1]`` on the modes.
     weights : (n_outputs, n_modes) complex array
-        What the modes do to the outputs; twice that for one of a pair.
+        Effect of the modes on the outputs, doubled for a mode that stands for a conjugate pair.
     bases : dict
         Bases of the free responses, by number of samples and samples that count.
     """
@@ -81,25 +87,26 @@ class Simulator:
 
     @property
     def model(self) -> LinearModel:
-        """The model."""
+        """The model of the fit."""
         return self.result.model
 
 
 def validation_data(result: FitResult, recording: Recording, left_out: Ranges = ()) -> ValidationData:
-    """Take from a recording what the models of a fit are validated on.
+    """Return the signals of a recording on which the models of a fit are validated.
 
     Parameters
     ----------
     result : FitResult
-        Says which signals; any model of the fit.
+        Any fit of these models; it names the signals.
     recording : Recording
+        Validation recording.
     left_out : sequence of (start, stop)
-        Samples that do not count.
+        Ranges of samples that do not count.
 
     Raises
     ------
     DataError
-        When the recording lacks a signal, has another sample time, or no sample counts.
+        When the recording lacks a signal, has another sample time, or has no sample that counts.
     """
     (u, input_names, _), (y, output_names, output_units) = selected(result, recording)
     counted = counted_samples(recording, left_out)
@@ -119,7 +126,7 @@ def validation_data(result: FitResult, recording: Recording, left_out: Ranges = 
 
 
 def simulator(result: FitResult) -> Simulator:
-    """Make a fitted model ready to be simulated on many recordings."""
+    """Return a fitted model prepared for the simulation on many recordings."""
     model = result.model
     nothing = np.zeros((0, 0), complex)
     if model.delay is not None:
@@ -144,16 +151,17 @@ def simulator(result: FitResult) -> Simulator:
 
 
 def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
-    """Fit percent and largest deviation of one model on one recording, as `cross_validate` gives them.
+    """Return fit percent and largest deviation of one model on one recording, as `cross_validate` computes them.
 
     Returns
     -------
     fit_percent, infinity_norm : (n_outputs,) array
+        Fit in percent, and largest deviation in the units of the outputs.
 
     Raises
     ------
     DataError
-        When model and recording do not go together, or the simulation overflows.
+        When model and recording do not fit together, or when the simulation overflows.
     """
     _check_pair(fitted, data)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -180,16 +188,17 @@ def cross_validate_many(
     recordings: Sequence[Recording],
     pairs: Sequence[tuple[int, int]] | None = None,
 ) -> ValidationScores:
-    """Simulate many models on many recordings; the scores of `cross_validate` for each pair.
+    """Return the scores of many models on many recordings, as `cross_validate` computes them for each pair.
 
     Parameters
     ----------
     results : sequence of FitResult
-        Of one structure, fitted to the same signals.
+        Fits of one structure to the same signals.
     recordings : sequence of Recording
+        Validation recordings.
     pairs : sequence of (int, int), optional
-        Which model on which recording, by position. Without it, each model on all recordings that it was not
-        fitted to.
+        Pairs of model and recording, by their positions. By default each model is simulated on all recordings to which
+        it was not fitted.
 
     Returns
     -------
@@ -198,7 +207,7 @@ def cross_validate_many(
     Raises
     ------
     DataError
-        As `cross_validate`, or when there is no pair.
+        As for `cross_validate`, or when there is no pair.
     """
     if pairs is None:
         pairs = [
@@ -217,7 +226,7 @@ def _check_pair(fitted: Simulator, data: ValidationData) -> None:
     if not np.isclose(data.sample_time, result.sample_time, rtol=1e-6, atol=0):
         raise DataError(
             f"recording {data.name!r} has sample time {data.sample_time:g} s; the model was fitted at "
-            f"{result.sample_time:g} s, and its delays are tied to it: resample the recording"
+            f"{result.sample_time:g} s: resample the recording"
         )
     if (len(data.input_names), len(data.output_names)) != (len(model.input_names), len(model.output_names)):
         raise DataError(
@@ -228,8 +237,8 @@ def _check_pair(fitted: Simulator, data: ValidationData) -> None:
 
 
 def _from_rest(fitted: Simulator, data: ValidationData) -> FloatArray:
-    """Simulate from state zero, (n_outputs, n_samples)."""
-    from scipy.signal import lfilter  # slow to import: only where it is needed
+    """Return the simulation from the zero state, (n_outputs, n_samples)."""
+    from scipy.signal import lfilter  # imported here, because the import is slow
 
     model, u = fitted.model, data.inputs
     if fitted.poles is None:
@@ -249,7 +258,7 @@ def _from_rest(fitted: Simulator, data: ValidationData) -> FloatArray:
 
 
 def _basis(fitted: Simulator, data: ValidationData) -> FloatArray:
-    """Orthonormal basis of the free responses, (n_outputs, n_leading, rank): rows beyond are nothing."""
+    """Return an orthonormal basis of the free responses, (n_outputs, n_leading, rank); later samples are zero."""
     n = data.inputs.shape[1]
     key = (n, b"" if data.counted is None else data.counted.tobytes())
     if key not in fitted.bases:

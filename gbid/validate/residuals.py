@@ -1,4 +1,4 @@
-"""What the residuals of a fit say about it: paper, Sec. 3.8."""
+"""Residual tests of a fitted model (paper, Sec. 3.8)."""
 
 from __future__ import annotations
 
@@ -21,38 +21,43 @@ _LEVEL = 0.99
 
 @dataclass(frozen=True, eq=False)
 class ResidualTest:
-    """Whiteness of residuals, and what is left in them of the inputs.
+    """Tests of whiteness of the residuals and of their correlation with the inputs.
 
     Attributes
     ----------
     recording : str
+        Name of the recording.
     lags : (n_lags + 1,) integer array
-        From 0 [samples].
+        Lags from 0 [samples].
     time : (n_lags + 1,) array
-        The same [s].
+        Lags [s].
     autocorrelation : (n_outputs, n_lags + 1) array
+        Autocorrelation of the residuals.
     band : float
-        99 % of the autocorrelations of white residuals lie within plus and minus this.
+        99 % of the autocorrelations of white residuals lie within plus and minus this value.
     cross_lags : (2 n_lags + 1,) integer array
-        Lags of the residual behind the input; negative ones would be feedback.
+        Lags of the residual behind the input [samples]; correlation at negative lags indicates feedback.
     crosscorrelation : (n_outputs, n_inputs, 2 n_lags + 1) array
+        Cross-correlation of residuals and inputs.
     cross_band : (n_outputs, n_inputs) array
-        The same for residuals independent of the inputs, which allows for the colour of both.
+        99 % of the cross-correlations lie within plus and minus this value when residuals and inputs are independent.
+        It takes the colour of both into account.
     p_white : (n_outputs,) array
-        Probability of less white residuals if they were white (Ljung-Box).
+        p-value of the hypothesis that the residuals are white (Ljung-Box).
     p_independent : (n_outputs, n_inputs) array
-        Probability of larger cross-correlations, over all lags from 0 on together, for residuals independent of
-        the input.
+        p-value of the hypothesis that the residuals are independent of the input, over all lags from 0 together.
     outside : (n_outputs, n_inputs) array
-        Share of lags from 0 on whose cross-correlation lies outside its band; about 0.01 by chance.
+        Share of the lags from 0 whose cross-correlation lies outside its band; about 0.01 by chance.
     infinity_norm : (n_outputs,) array
-        Largest residual, in the outputs' units.
+        Largest residual, in the units of the outputs.
     rms : (n_outputs,) array
+        Root mean square of the residuals, in the units of the outputs.
     fit_percent : (n_outputs,) array
-        Of the predictions whose errors these residuals are.
+        Fit percent of the predictions (or simulations) that have these residuals.
     input_names, output_names : tuple of str
+        Names of the channels.
     verdict : tuple of str
-        The findings in words.
+        Findings as sentences.
     """
 
     recording: str
@@ -80,26 +85,29 @@ class ResidualTest:
 
     @property
     def follows(self) -> tuple[tuple[str, ...], ...]:
-        """Inputs that are still to be found in the residuals of each output."""
+        """Inputs that are correlated with the residuals of each output."""
         return tuple(_following(row, self.input_names) for row in self.p_independent)
 
 
 def check_residuals(result: FitResult, recording: Recording, lags: int = 50, left_out: Ranges = ()) -> ResidualTest:
-    """Test the residuals of a fitted model on a recording.
+    """Return residual tests of a fitted model on a recording.
 
-    One-step-ahead errors for a fit with prediction focus, errors of simulation otherwise, the initial state
-    estimated on the recording. Bartlett's formula gives the covariance of the cross-correlations from the colour of
-    residual and input: that of a slow input at neighbouring lags is nearly one and the same number, and counts so.
+    The residuals are one-step-ahead prediction errors for a fit with prediction focus, and simulation errors
+    otherwise. The initial state is estimated on the recording. Bartlett's formula gives the covariance of the
+    cross-correlations from the colour of residual and input. For a slow input the values at neighbouring lags are
+    almost equal, and the test takes this into account.
 
     Parameters
     ----------
     result : FitResult
+        The fit.
     recording : Recording
+        The recording.
     lags : int
         Largest lag [samples].
     left_out : sequence of (start, stop)
-        Stretches of samples that are not tested. What is tested is the longest stretch without them: correlations
-        do not reach over a gap.
+        Ranges of samples that are not tested. The longest stretch without them is tested, because correlations need
+        consecutive samples.
 
     Returns
     -------
@@ -110,7 +118,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     UsageError
         When the recording is shorter than four times the lags.
     DataError
-        When the recording lacks a signal, or the predictions overflow.
+        When the recording lacks a signal, or when the predictions overflow.
     """
     u, input_names, _ = select(recording, result.options.inputs)
     y, output_names, _ = select(recording, result.options.outputs)
@@ -173,7 +181,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
 
 
 def _longest(counted: BoolArray | None, n: int) -> slice:
-    """Find the longest stretch of samples that count."""
+    """Return the longest stretch of samples that count."""
     if counted is None:
         return slice(0, n)
     edges = np.flatnonzero(np.diff(counted, prepend=False, append=False)).reshape(-1, 2)
@@ -182,10 +190,10 @@ def _longest(counted: BoolArray | None, n: int) -> slice:
 
 
 def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray:
-    """Covariance, times n, of cross-correlations at lags that are 0, 1, ... `lags` apart, if there is no correlation.
+    """Return n times the covariance of cross-correlations at lags 0, 1, ... `lags` apart, for independent signals.
 
-    ``sum_l rho_e(l) rho_u(l + k)``, the residuals' autocorrelation under a triangular window, so that what lies
-    beyond its memory adds no noise and the covariance stays positive.
+    It is ``sum_l rho_e(l) rho_u(l + k)`` (Bartlett), with a triangular window on the autocorrelation of the
+    residuals. The window reduces the noise of long lags and keeps the covariance positive.
     """
     most = 2 * lags
     own = correlation(residual, residual, most) * (1 - np.arange(most + 1) / (most + 1))
@@ -195,7 +203,7 @@ def _bartlett(residual: FloatArray, source: FloatArray, lags: int) -> FloatArray
 
 
 def _independent(cross: FloatArray, variance: FloatArray, n: int) -> float:
-    """Probability of larger correlations at all lags together."""
+    """Return the p-value of the correlations at all lags together."""
     values, vectors = np.linalg.eigh(toeplitz(variance))
     kept = values > 1e-6 * values[-1]
     statistic = n * float(((vectors[:, kept].T @ cross) ** 2 / values[kept]).sum())

@@ -1,4 +1,4 @@
-"""Scores of many models on many recordings, and what they say together: paper, Sec. 3.8, Figs. 9 and 10."""
+"""Scores of many models on many recordings, and their summary (paper, Sec. 3.8, Figs. 9 and 10)."""
 
 from __future__ import annotations
 
@@ -15,20 +15,22 @@ from gbid.errors import DataError, UsageError
 
 @dataclass(frozen=True, eq=False)
 class ValidationScores:
-    """How well models explain recordings; n pairs of model and recording, q outputs.
+    """Scores of n pairs of model and recording with q outputs.
 
     Attributes
     ----------
     models : tuple of str, n
-        Recordings that each model was fitted to, or its name.
+        Recordings to which each model was fitted, or name of the model.
     recordings : tuple of str, n
-        Recordings that they were put to.
+        Validation recordings.
     pressure_bar, speed_rpm : (n,) array
-        Operating points of the recordings; nan where they do not tell.
+        Operating points of the recordings; nan when unknown.
     output_names, output_units : tuple of str, q
+        Names and units of the outputs.
     fit_percent : (n, q) array
+        Fit of the simulation in percent.
     infinity_norm : (n, q) array
-        Largest deviation of the simulation, in the outputs' units.
+        Largest deviation of the simulation, in the units of the outputs.
     """
 
     models: tuple[str, ...]
@@ -56,14 +58,16 @@ class ValidationScores:
 
 @dataclass(frozen=True)
 class WorstPair:
-    """A pair with a poor fit of one output.
+    """Pair of model and recording with a poor fit of one output.
 
     Attributes
     ----------
     model, recording, output : str
+        Names of the model, the recording and the output.
     fit_percent : float
+        Fit of the output in percent.
     infinity_norm : float
-        In the output's unit.
+        Largest deviation, in the unit of the output.
     """
 
     model: str
@@ -75,17 +79,18 @@ class WorstPair:
 
 @dataclass(frozen=True, eq=False)
 class PointSummary:
-    """The pairs of one operating point.
+    """Summary of the pairs of one operating point.
 
     Attributes
     ----------
     pressure_bar, speed_rpm : float
-        nan where the recordings do not tell.
+        Operating point; nan when unknown.
     n_pairs : int
+        Number of pairs.
     mean, std : (n_outputs,) array
-        Of the fit percent; std is nan for a single pair.
+        Mean and standard deviation of the fit percent; std is nan for a single pair.
     infinity_norm : (n_outputs,) array
-        The largest, in the outputs' units.
+        Largest deviation over the pairs, in the units of the outputs.
     """
 
     pressure_bar: float
@@ -98,30 +103,32 @@ class PointSummary:
 
 @dataclass(frozen=True, eq=False)
 class ValidationSummary:
-    """What the cross-validation of a fit says as a whole; q outputs, b bins.
+    """Summary of a cross-validation with q outputs and b histogram bins.
 
     Attributes
     ----------
     n_pairs, n_models, n_recordings : int
+        Numbers of pairs, models and recordings.
     output_names, output_units : tuple of str, q
+        Names and units of the outputs.
     mean, std : (q,) array
-        Of the fit percent over the pairs; std with n - 1, nan for a single pair.
+        Mean and standard deviation (with n - 1) of the fit percent over the pairs; std is nan for a single pair.
     median, least, greatest : (q,) array
-        Of the fit percent.
+        Median, smallest and largest fit percent.
     edges : (q, b + 1) array
-        Bins of the histograms [%].
+        Edges of the histogram bins [%].
     counts : (q, b) integer array
-        Pairs in each bin; those below the first edge are in `below`.
+        Number of pairs in each bin, without those in `below`.
     below : (q,) integer array
-        Pairs that fit worse than the histogram reaches.
+        Number of pairs whose fit lies below the first edge.
     infinity_norm_mean, infinity_norm_max : (q,) array
-        Largest deviation of each pair: mean and largest over the pairs, in the outputs' units.
+        Largest deviation of each pair: its mean and maximum over the pairs, in the units of the outputs.
     worst : tuple of WorstPair
-        For each output the pairs that fit worst, the worst first.
+        For each output the pairs with the poorest fit, the poorest first.
     points : tuple of PointSummary
-        By operating point of the recordings, by rising pressure, then speed.
+        Summaries by operating point of the recordings, by rising pressure, then speed.
     failed : tuple of str
-        Pairs that could not be validated, and why.
+        Pairs that could not be validated, with the reason.
     """
 
     n_pairs: int
@@ -153,7 +160,7 @@ class ValidationSummary:
 
 
 class _Validated(Protocol):
-    """What a score belongs to; read-only."""
+    """Recording or validation data to which a score belongs; read-only."""
 
     @property
     def name(self) -> str: ...
@@ -166,7 +173,7 @@ class _Validated(Protocol):
 
 
 def join_scores(found: Sequence[tuple[str, _Validated, FloatArray, FloatArray]]) -> ValidationScores:
-    """Put the scores of single pairs side by side.
+    """Return the scores of single pairs joined in one table.
 
     Parameters
     ----------
@@ -189,20 +196,21 @@ def join_scores(found: Sequence[tuple[str, _Validated, FloatArray, FloatArray]])
 def summarise(
     scores: ValidationScores, *, bins: int = 20, worst: int = 3, failed: Iterable[str] = ()
 ) -> ValidationSummary:
-    """Summarise a cross-validation: mean, standard deviation and histogram of each output, and the worst pairs.
+    """Return the summary of a cross-validation: mean, standard deviation, histogram and poorest pairs of each output.
 
-    The histogram of an output spans its fits, but reaches no further below its median than six robust standard
-    deviations: one model that fails altogether would leave all others in one bin. What lies below is counted.
+    The histogram of an output covers its fits, but not more than six robust standard deviations below the median.
+    Otherwise one failed model would put all others into one bin. The fits below the histogram are counted.
 
     Parameters
     ----------
     scores : ValidationScores
+        Scores of all pairs.
     bins : int
-        Of each histogram.
+        Number of bins of each histogram.
     worst : int
-        How many pairs of each output are named.
+        Number of poorest pairs to list for each output.
     failed : iterable of str
-        Pairs that could not be validated, in words.
+        Pairs that could not be validated, with the reason.
 
     Returns
     -------
@@ -213,7 +221,7 @@ def summarise(
     DataError
         When there is no pair.
     UsageError
-        For fewer than one bin.
+        When `bins` is below one or `worst` is negative.
     """
     if not len(scores):
         raise DataError("no pair of model and recording was validated, so there is nothing to summarise")

@@ -290,7 +290,7 @@ def test_one_way_staircase_knows_nothing_of_hysteresis():
     rec = loop().slice(0, 11 * 500)
     found = characterise_piezo(rec, command="v", position="y_p")
     assert np.isnan(found.hysteresis)
-    assert "one way" in found.notes[-1]
+    assert "one direction only" in found.notes[-1]
 
 
 @pytest.mark.parametrize(

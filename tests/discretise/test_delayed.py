@@ -253,13 +253,13 @@ def test_prediction_without_delays_is_the_plain_loop(holds):
 
 
 WRONG = {
-    "without B_delayed": ({"delay": [0.1, 0.1]}, "delay and B_delayed go together"),
-    "without delay": ({"B_delayed": LATE}, "delay and B_delayed go together"),
+    "without B_delayed": ({"delay": [0.1, 0.1]}, "give both delay and B_delayed, or neither"),
+    "without delay": ({"B_delayed": LATE}, "give both delay and B_delayed, or neither"),
     "one delay": ({"B_delayed": LATE, "delay": [0.1]}, r"delay has shape \(1,\) and B_delayed \(2, 2\)"),
     "B_delayed too small": ({"B_delayed": [[1.0, 2.0]], "delay": [0.1, 0.1]}, r"B_delayed \(1, 2\), expected"),
     "negative": ({"B_delayed": LATE, "delay": [0.1, -0.1]}, "must be finite and not negative"),
     "not finite": ({"B_delayed": LATE, "delay": [0.1, np.nan]}, "must be finite and not negative"),
-    "discrete": ({"B_delayed": LATE, "delay": DELAY, "dt": 0.1}, "an exact delay belongs to continuous time"),
+    "discrete": ({"B_delayed": LATE, "delay": DELAY, "dt": 0.1}, "exact delays are possible in continuous time only"),
 }
 
 
@@ -271,7 +271,7 @@ def test_wrong_delays_are_refused(what):
 
 
 def test_wrong_use_of_a_delayed_model_is_refused():
-    with pytest.raises(UsageError, match=r"turn them into states first, with_pade\(model, order\)"):
+    with pytest.raises(UsageError, match=r"replace them by Pade approximations first: with_pade\(model, order\)"):
         MODEL.discretise(H)
     with pytest.raises(UsageError, match=r"outputs have shape \(5, 1\), expected finite \(5, 2\)"):
         MODEL.predict(np.zeros((5, 2)), np.zeros((5, 1)), H)

@@ -127,7 +127,7 @@ def test_what_other_libraries_cannot_take_is_said(monkeypatch):
     unclear.dt = None
     with pytest.raises(UsageError, match=r"dt = None.*set system.dt to 0"):
         LinearModel.from_control(unclear)
-    with pytest.raises(UsageError, match=r"TransferFunction is no state-space system.*control.ss"):
+    with pytest.raises(UsageError, match=r"TransferFunction is not a state-space system.*control.ss"):
         LinearModel.from_control(control.tf([1], [1, 1]))
     static = LinearModel(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[2.0]])
     np.testing.assert_array_equal(static.to_control().D, [[2.0]])

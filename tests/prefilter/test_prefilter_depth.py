@@ -258,7 +258,7 @@ def test_run_out_alike_after_half_a_turn_is_not_sure():
     found = align_index(made, table(only_second, seed=2))
     assert not found.sure
     assert abs(abs(found.offset - found.next_best) - np.pi) < 0.01
-    with pytest.raises(DataError, match="cannot be told"):
+    with pytest.raises(DataError, match="cannot be found from the run-out"):
         found.apply(table(only_second))
 
 

@@ -90,7 +90,7 @@ def test_static_gain_is_where_a_step_ends() -> None:
 def test_an_integrator_has_no_static_gain() -> None:
     model = LinearModel([[0, 1], [0, -5]], [[0], [1]], [[1, 0]], [[0]])
     for integrator in (model, model.discretise(0.1)):
-        with pytest.raises(UsageError, match="pole at rest"):
+        with pytest.raises(UsageError, match="has an integrator"):
             integrator.static_gain()
 
 
@@ -152,7 +152,7 @@ def test_frequency_response_at_rest_is_the_static_gain() -> None:
 
 def test_frequency_response_on_a_pole() -> None:
     integrator = LinearModel([[0.0]], [[1.0]], [[1.0]], [[0.0]])
-    with pytest.raises(UsageError, match="a pole on one of the frequencies"):
+    with pytest.raises(UsageError, match="a pole at one of the given frequencies"):
         integrator.frequency_response([0.0, 1.0])
     with pytest.raises(UsageError, match="frequency_hz holds values that are not finite"):
         integrator.frequency_response([np.nan])

@@ -228,9 +228,9 @@ STRAY = ca.SX.sym("stray")
         (lambda p: {"B": [[1]], "C": [[1]]}, "must give A, B, C and may give D, K, and B_delayed with delay; got B, C"),
         (lambda p: {}, "got nothing"),
         (lambda p: {**arm(p), "E": [[1]]}, "got A, B, C, E"),
-        (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are no parameters: stray"),
-        (lambda p: {**arm(p), "A": [[0, 1], [0]]}, "A is no matrix"),
-        (lambda p: {**arm(p), "A": "zero"}, "A is no matrix"),
+        (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are not parameters: stray"),
+        (lambda p: {**arm(p), "A": [[0, 1], [0]]}, "A is not a matrix"),
+        (lambda p: {**arm(p), "A": "zero"}, "A is not a matrix"),
         (lambda p: {**arm(p), "A": [[p.b2]]}, "no parameter 'b2'; there are b1, K2"),
         (lambda p: {**arm(p), "A": [[p["b2"]]]}, "KeyError: 'b2'"),
         (lambda p: None, r"matrices\(p\) failed: TypeError"),
@@ -245,7 +245,7 @@ def test_wrong_matrices_are_refused_in_one_line(matrices, text):
 
 def test_a_symbol_of_ones_own_with_a_parameters_name_is_foreign():
     impostor = ca.SX.sym("b1")
-    with pytest.raises(UsageError, match="A contains symbols that are no parameters: b1"):
+    with pytest.raises(UsageError, match="A contains symbols that are not parameters: b1"):
         symbolic_matrices(LinearStructure("mine", ARM, lambda p: {**arm(p), "A": [[0, 1], [0, -impostor]]}))
 
 
@@ -341,7 +341,7 @@ def test_load_structure(folder, name):
         ("broken.py:structure", "broken.py: import failed: SyntaxError"),
         ("needs.py:structure", "needs.py: import failed: ModuleNotFoundError"),
         ("lag.py:structures", "lag.py: no name 'structures' in this file"),
-        ("lag.py:number", "lag.py: number is no structure; make it a gbid.LinearStructure"),
+        ("lag.py:number", "lag.py: number is not a structure; make it a gbid.LinearStructure"),
         ("lag.py:fails", r"lag.py: fails\(\) failed: RuntimeError: no luck"),
         ("lag.py:matrices", r"lag.py: matrices\(\) failed: TypeError"),
         ("lag.py:wrong", r"lag.py: structure 'wrong': A has shape \(1, 2\), expected \(1, 1\)"),

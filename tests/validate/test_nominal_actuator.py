@@ -128,7 +128,7 @@ def test_failed_fits_are_left_out_and_named():
 def test_other_tables_are_refused():
     table = table_of(scattered(4))
     two = replace(table, fit=np.array(["a", "a", "b", "b"]))
-    with pytest.raises(UsageError, match=r"the fits a, b; say which one: fit='a'"):
+    with pytest.raises(UsageError, match=r"the fits a, b; choose one: fit='a'"):
         nominal_actuator(two)
     assert nominal_actuator(two, fit="b").models == ("r2", "r3")
     with pytest.raises(UsageError, match="they have no kappa_y"):

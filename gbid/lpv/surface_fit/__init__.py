@@ -1,1 +1,1 @@
-"""Surfaces over pressure and speed fitted to many models (two-step)."""
+"""Two-step LPV identification: surfaces over pressure and speed fitted to the estimates of many recordings."""

@@ -1,4 +1,4 @@
-"""The estimates that surfaces are drawn through: one row for each recording, failed fits left out by name."""
+"""Estimates to which surfaces are fitted: one row for each recording, without failed fits."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ from gbid.structure import KEY_PARAMETERS
 
 @dataclass(frozen=True, eq=False)
 class Estimates:
-    """Key parameters of recordings.
+    """Estimated key parameters of n recordings.
 
     Attributes
     ----------
     recordings : tuple of str
+        Names of the recordings.
     points : (n, 2) array
         Pressure [bar] and speed [rpm].
     values : (n, 14) array
-        In the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
+        Estimates in the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
     covariance : (n, 14, 14) array
-        Of each row; nan where a fit gives none.
+        Covariance of each row; nan where a fit has none.
     left_out : tuple of str
-        ``"name: why"`` of those that are not among the rows.
+        ``"name: reason"`` of each fit that was left out.
     """
 
     recordings: tuple[str, ...]
@@ -51,32 +52,33 @@ def as_estimates(
     fits: FitTable | Sequence[FitResult] | Estimates,
     points: Sequence[tuple[float, float]] | None = None,
 ) -> Estimates:
-    """Take estimates from a table, or from fit results with their operating points.
+    """Return the estimates of a table, or of fit results with their operating points.
 
     Parameters
     ----------
     fits : FitTable, sequence of FitResult, or Estimates
+        Fits with all fourteen key parameters.
     points : sequence of (pressure_bar, speed_rpm), optional
-        Where each fit result was recorded; a table knows it.
+        Operating point of each fit result; a table contains them.
 
     Returns
     -------
     Estimates
-        Without fits that failed or gave numbers that are not finite.
+        Estimates without fits that failed or have values that are not finite.
 
     Raises
     ------
     UsageError
-        When a fit result has no operating point, or a key parameter is missing.
+        When a fit result has no operating point, or when a key parameter is missing.
     DataError
-        When no fit is left.
+        When no fit remains.
     """
     if isinstance(fits, Estimates):
         return _finite(fits, np.ones(len(fits.recordings), dtype=bool))
     if isinstance(fits, Sequence):
         return _of_results(fits, points)
     if points is not None:
-        raise UsageError("points: a table of fits knows its operating points; leave them out")
+        raise UsageError("points: a table of fits contains its operating points; leave points out")
     kinds = list(dict.fromkeys(fits.fit.tolist()))
     if len(kinds) > 1:
         raise UsageError(f"the table holds the fits {', '.join(kinds)}; choose one: table.select(fit=...)")
@@ -117,7 +119,7 @@ def _of_results(fits: Sequence[FitResult], points: Sequence[tuple[float, float]]
 
 
 def _covariance_of(fit: FitResult) -> FloatArray:
-    """Covariance of the key parameters; zero rows for fixed ones."""
+    """Return the covariance of the key parameters, with zero rows for fixed ones."""
     position: Mapping[str, int] = {name: i for i, name in enumerate(fit.free)}
     k = len(KEY_PARAMETERS)
     found = np.zeros((k, k))
@@ -128,7 +130,7 @@ def _covariance_of(fit: FitResult) -> FloatArray:
 
 
 def _finite(found: Estimates, success: BoolArray) -> Estimates:
-    """Leave out, by name, what failed or is not finite."""
+    """Return the estimates without failed fits and values that are not finite; list these by name."""
     keep, left_out = [], list(found.left_out)
     for i, name in enumerate(found.recordings):
         bad = [key for key, v in zip(KEY_PARAMETERS, found.values[i], strict=True) if not np.isfinite(v)]
@@ -142,7 +144,7 @@ def _finite(found: Estimates, success: BoolArray) -> Estimates:
             keep.append(i)
     if not keep:
         reasons = "; ".join(left_out[:3]) or "there are none"
-        raise DataError(f"no fit to draw surfaces through ({reasons})")
+        raise DataError(f"there is no fit to which surfaces can be fitted ({reasons})")
     rows = np.array(keep)
     return Estimates(
         tuple(found.recordings[i] for i in keep),

@@ -1,7 +1,8 @@
-r"""Surfaces through the campaign's estimates: paper, Eqs. 16 to 18.
+r"""Surfaces fitted to the estimates of a campaign (paper, Eqs. 16 to 18).
 
-All fourteen parameters are fitted at once, :math:`\theta_i = (I_{14} \otimes \varphi(P_i, \Omega_i)^T)\, c + b_i + e_i`
-with the terms :math:`\varphi` made orthogonal over the operating points, and referred back to bar and rpm after.
+All fourteen parameters are fitted at once, :math:`\theta_i = (I_{14} \otimes \varphi(P_i, \Omega_i)^T)\, c + b_i +
+e_i`. The terms :math:`\varphi` are made orthogonal over the operating points. Afterwards the coefficients are
+converted back to terms in bar and rpm.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]
 Order = int | Literal["auto"] | Sequence[str]
-_MISSED = 0.01  # probability below which surfaces count as missing the points' means, shared by the parameters
+_MISSED = 0.01  # significance level of the lack-of-fit test, divided by the number of parameters
 
 
 def fit_lpv(
@@ -46,44 +47,44 @@ def fit_lpv(
     title: str = "",
     source: str = "",
 ) -> LPVFit:
-    """Draw surfaces over pressure and speed through the key parameters of a campaign's fits.
+    """Return surfaces over pressure and speed, fitted to the key parameters of many fits.
 
     Parameters
     ----------
     fits : FitTable or sequence of FitResult
-        One row or result for each recording, all fourteen key parameters in it. Those that did not converge or are
-        not finite are left out and named.
+        One row or result for each recording, with all fourteen key parameters. Fits that did not converge or are not
+        finite are left out and listed.
     points : sequence of (pressure_bar, speed_rpm), optional
-        Operating points, when fit results are given; a table knows them.
+        Operating points of fit results; a table contains them.
     weighting : {"scatter", "fits", "ordinary"}
-        Generalised least squares of all parameters together, weighed by each fit's covariance and the scatter
-        between recordings, which is estimated along (restricted maximum likelihood); by each fit's covariance
-        alone; or ordinary least squares. The covariance of the coefficients is the model's for the first, and one
-        that takes the residuals as they are (HC3) for the others.
+        ``"scatter"``: generalised least squares of all parameters together. The weights come from the covariance of
+        each fit plus the scatter between recordings, which is estimated by restricted maximum likelihood. ``"fits"``:
+        the same with the covariance of each fit alone. ``"ordinary"``: ordinary least squares. The covariance of the
+        coefficients is model-based for the first and a robust estimate from the residuals (HC3) for the others.
     order : 0, 1, 2, "auto" or sequence of str
-        Order of the polynomials; the best by cross-validation over operating points; or terms out of
-        `gbid.lpv.TERMS`.
+        Order of the polynomials. ``"auto"`` chooses it by cross-validation over operating points. A sequence names
+        terms of `gbid.lpv.TERMS`.
     robust : bool
-        Whether estimates far off a surface are weighed down (Huber) (Huber's weights).
+        Whether estimates far from a surface get less weight (Huber).
     actuators : dict of str to float, optional
-        Actuator parameters that the model is to hold.
+        Actuator parameters to store in the model.
     pade_order : int
-        Order of the model's delays: that of the structure that was fitted.
+        Order of the delays of the model, equal to that of the fitted structure.
     name, title, source : str
-        For the model.
+        Texts for the model.
 
     Returns
     -------
     LPVFit
-        Its model holds within the rectangle that the operating points span.
+        Its model is valid in the rectangle that contains the operating points.
 
     Raises
     ------
     UsageError
-        For unknown options, missing parameters or operating points.
+        When an option is unknown, or when parameters or operating points are missing.
     DataError
-        When there are too few operating points for the order, or they cannot tell its terms apart; when no fit is
-        left, or a fit has no covariance to be weighed by.
+        When there are too few operating points for the order, when they do not determine its terms, when no fit
+        remains, or when a fit has no covariance for the weights.
     """
     if weighting not in ("scatter", "fits", "ordinary"):
         raise UsageError(f"weighting = {weighting!r}; choose 'scatter', 'fits' or 'ordinary'")
@@ -93,7 +94,7 @@ def fit_lpv(
     compared = compare_orders(estimates.points, estimates.values)
     exponents = chosen_exponents(best_order(compared) if isinstance(order, str) and order == "auto" else order)
     design = orthonormal(estimates.points, exponents)
-    with one_blas_thread():  # small matrices: threads only wait for one another
+    with one_blas_thread():  # threads do not speed up small matrices
         solved = _solve(estimates, design, weighting, robust)
     coefficients = np.zeros((len(KEY_PARAMETERS), len(TERMS)))
     coefficients[:, _places(exponents)] = solved.coefficients @ design.back.T
@@ -140,7 +141,7 @@ class _SurfaceEstimate:
 
 
 def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robust: bool) -> _SurfaceEstimate:
-    """Fit all parameters, scaled to the order of one."""
+    """Fit all parameters, each scaled by its rms value."""
     n, k = estimates.values.shape
     scale = np.sqrt(np.mean(estimates.values**2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
@@ -180,7 +181,7 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
 
 
 def kron_designs(columns: FloatArray, k: int) -> FloatArray:
-    """Regressors of k parameters with the same terms: (n, n_terms) to (n, k, k n_terms)."""
+    """Return the regressors of k parameters with the same terms: (n, n_terms) to (n, k, k n_terms)."""
     n, m = columns.shape
     X = np.zeros((n, k, k, m))
     X[:, np.arange(k), np.arange(k)] = columns[:, None]
@@ -188,7 +189,7 @@ def kron_designs(columns: FloatArray, k: int) -> FloatArray:
 
 
 def in_own_units(covariance: FloatArray, back: FloatArray, exponents: Exponents) -> FloatArray:
-    """Refer a covariance of coefficients in orthogonal terms to the six terms in bar and rpm: (84, 84)."""
+    """Return a covariance of coefficients, converted from orthogonal terms to terms in bar and rpm: (84, 84)."""
     k, m = len(KEY_PARAMETERS), len(exponents)
     blocks = np.einsum("im,ambn,jn->aibj", back, covariance.reshape(k, m, k, m), back, optimize=True)
     full = np.zeros((k, len(TERMS), k, len(TERMS)))
@@ -202,18 +203,18 @@ def _places(exponents: Exponents) -> list[int]:
 
 
 def rectangle(points: FloatArray) -> Domain:
-    """Domain that operating points (n, 2) span."""
+    """Return the smallest domain that contains operating points (n, 2)."""
     (p_low, w_low), (p_high, w_high) = points.min(axis=0), points.max(axis=0)
     return Domain((float(p_low), float(p_high)), (float(w_low), float(w_high)))
 
 
 def _with_covariance(estimates: Estimates) -> Estimates:
-    """Leave out, by name, fits that have no covariance to be weighed by."""
+    """Return the estimates without fits that have no covariance; list these by name."""
     known = [bool(np.isfinite(own).all()) for own in estimates.covariance]
     if all(known):
         return estimates
     keep = np.flatnonzero(known)
-    why = "no covariance to be weighed by (weighting = 'ordinary' takes it)"
+    why = "no covariance for the weights (weighting = 'ordinary' needs none)"
     gone = tuple(f"{name}: {why}" for name, ok in zip(estimates.recordings, known, strict=True) if not ok)
     return as_estimates(
         Estimates(
@@ -232,13 +233,13 @@ def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
     if off:
         notes.append(
             f"the surfaces miss the means of operating points by more than recordings scatter: {', '.join(off)}; "
-            "standard deviations do not cover what the polynomial leaves out"
+            "the standard deviations do not contain this lack of fit"
         )
     return tuple(notes)
 
 
 def _impossible(model: LPVModel) -> tuple[str, ...]:
-    """Say where in the domain a surface makes a delay negative."""
+    """Return notes about operating points of the domain at which a delay is negative."""
     (p_low, p_high), (n_low, n_high) = model.domain.pressure_bar, model.domain.speed_rpm
     grid = np.meshgrid(np.linspace(p_low, p_high, 41), np.linspace(n_low, n_high, 41))
     pressure, speed = (side.ravel() for side in grid)

@@ -1,4 +1,4 @@
-"""What a fit of surfaces gives."""
+"""Result of a surface fit."""
 
 from __future__ import annotations
 
@@ -20,36 +20,39 @@ from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.structure import KEY_PARAMETERS
 
-_TRIES = 20  # draws for each one wanted, before most of them count as useless
+_TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
 class LPVFit:
-    """Surfaces of the key parameters, how sure they are, and what they were drawn through.
+    """Surfaces of the key parameters, their uncertainty, and the estimates to which they were fitted.
 
     Attributes
     ----------
     model : LPVModel
+        Model with the fitted coefficients.
     covariance : (84, 84) array
-        Of the coefficients: parameters in the order of `gbid.structure.KEY_PARAMETERS`, for each the six terms of
-        `gbid.lpv.TERMS`, in the model's own units (SI per kg, bar, rpm). Zero for terms that were not in use.
+        Covariance of the coefficients: parameters in the order of `gbid.structure.KEY_PARAMETERS`, for each the six
+        terms of `gbid.lpv.TERMS`, in the units of the model (SI per kg, bar, rpm). Zero for terms that were not used.
     scatter : (14, 14) array
-        Covariance of what one recording's parameters lie off the surfaces beside its own error; zeros when it was
-        not estimated.
+        Covariance of the deviations of recordings from the surfaces, without the error of each estimate, SI per kg;
+        zeros when it was not estimated.
     estimates : Estimates
-        What the surfaces were drawn through, and what was left out.
+        Estimates to which the surfaces were fitted, with the list of those that were left out.
     outliers : tuple of Outlier
-        Estimates far off a surface, worst first.
+        Estimates far from a surface, the farthest first.
     orders : tuple of OrderScore
-        Orders compared on operating points left out.
+        Orders compared by cross-validation over operating points.
     lack_of_fit : (14,) array
-        Probability that right surfaces would miss the points' means as far as these do; nan when not known.
+        p-value of the hypothesis that the polynomials are of sufficient order; nan when not known.
     options : dict of str to str
-        What was asked: method, weighting, order, robust.
+        Options of the fit: method, weighting, order, robust.
     status : str
+        Status of the fit.
     success : bool
+        Whether the fit succeeded.
     notes : tuple of str
-        What a reader should know.
+        Remarks for the reader of the result.
     """
 
     model: LPVModel
@@ -76,51 +79,52 @@ class LPVFit:
 
     @property
     def coefficients(self) -> FloatArray:
-        """Coefficients of the model as one array, (14, 6)."""
+        """Coefficients of the model as one array, (14, 6), in the units of the model."""
         return np.array([self.model.coefficients[key] for key in KEY_PARAMETERS])
 
     @property
     def surface(self) -> FloatArray:
-        """Key parameters of the surfaces where the estimates are, (n, 14)."""
+        """Key parameters of the surfaces at the operating points of the estimates, (n, 14), SI per kg."""
         P, Omega = self.estimates.points.T
         return np.asarray(regressors(P, Omega) @ self.coefficients.T)
 
     @property
     def characteristics(self) -> tuple[FloatArray, FloatArray]:
-        """Delays, modes and static gains, estimated and of the surfaces, each (n, 10): Figs. 14 to 18.
+        """Delays, modes and static gains of the estimates and of the surfaces, each (n, 10): Figs. 14 to 18.
 
-        Columns are those of `gbid.lpv.CHARACTERISTICS`.
+        Columns are in the order of `gbid.lpv.CHARACTERISTICS`.
         """
         return characteristics(self.estimates.values), characteristics(self.surface)
 
     @property
     def deviations(self) -> tuple[Deviation, ...]:
-        """Rms and largest deviation of each characteristic, as the paper's Sec. 4 gives them."""
+        """Rms and largest deviation of each characteristic, as in Sec. 4 of the paper."""
         return deviations(*self.characteristics, self.estimates.recordings)
 
     def uncertainty_at(
         self, pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike, *, scatter: bool = False, extrapolate: bool = False
     ) -> FloatArray:
-        """Covariance of the key parameters at operating points.
+        """Return the covariance of the key parameters at operating points.
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float or array
-            Broadcast against each other.
+            Operating points [bar], [rpm]; arrays broadcast against each other.
         scatter : bool
-            Whether the scatter from one recording to the next is added: the machine tomorrow rather than on average.
+            Whether the scatter between recordings is added. With it the covariance is that of the machine in one
+            recording, without it that of its mean.
         extrapolate : bool
-            Whether points outside the model's domain are wanted.
+            Whether points outside the domain of the model are allowed.
 
         Returns
         -------
         (..., 14, 14) array
-            In the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
+            Covariance in the order of `gbid.structure.KEY_PARAMETERS`, SI per kg.
 
         Raises
         ------
         UsageError
-            Outside the domain unless `extrapolate` is set.
+            When a point lies outside the domain and `extrapolate` is not set.
         """
         self.model.domain.check(pressure_bar, speed_rpm, f"model {self.model.name!r}", extrapolate)
         phi = regressors(pressure_bar, speed_rpm)
@@ -129,25 +133,26 @@ class LPVFit:
         return np.asarray(found + self.scatter if scatter else found)
 
     def draw(self, n: int, seed: int, *, scatter: bool = False) -> list[LPVModel]:
-        """Draw models from the distribution of the coefficients.
+        """Return random models from the distribution of the coefficients.
 
         Parameters
         ----------
         n : int
-            How many.
+            Number of models.
         seed : int
+            Seed of the random numbers.
         scatter : bool
-            Whether each also lies off the surfaces as a recording does.
+            Whether each model also has the random deviation of one recording.
 
         Returns
         -------
         list of LPVModel
-            Draws with a delay that is not positive at a corner or an operating point of the domain are drawn anew.
+            Models with positive delays at the corners and operating points of the domain; other draws are rejected.
 
         Raises
         ------
         UsageError
-            When nearly all draws have such a delay: the delays are too uncertain to draw from.
+            When almost all draws are rejected, because the delays are too uncertain.
         """
         rng = np.random.default_rng(seed)
         root = _root(self.covariance)
@@ -166,19 +171,19 @@ class LPVFit:
         if len(drawn) < n:
             raise UsageError(
                 f"model {self.model.name!r}: {len(drawn)} of {_TRIES * n} draws have positive delays in the domain; "
-                "the delays are too uncertain to draw from (hold them, or record for longer)"
+                "the delays are too uncertain to draw from (fix them in the fits, or record longer)"
             )
         return drawn
 
 
 def with_coefficients(model: LPVModel, coefficients: FloatArray, **changes: Any) -> LPVModel:
-    """Copy a model with other coefficients (14, 6)."""
+    """Return a copy of a model with other coefficients (14, 6)."""
     rows = {key: tuple(row) for key, row in zip(KEY_PARAMETERS, coefficients.tolist(), strict=True)}
     return replace(model, coefficients=rows, **changes)
 
 
 def _root(covariance: FloatArray) -> FloatArray:
-    """Matrix whose square is a covariance, also a singular one; its entries may differ by many orders."""
+    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
     size = np.sqrt(np.diag(covariance))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))

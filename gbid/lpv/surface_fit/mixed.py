@@ -1,11 +1,10 @@
-r"""Linear regression of vectors with known covariances and an unknown scatter between them.
+r"""Linear regression of vectors with known covariances and an unknown scatter between them (mixed-effects model).
 
 .. math:: y_i = X_i c + b_i + e_i, \quad b_i \sim (0, S), \quad e_i \sim (0, C_i)
 
-The estimates of a recording's parameters scatter from one recording to the next by far more than their own
-covariance C_i says, because the machine is not the same twice. S is estimated by restricted maximum likelihood
-(Patterson and Thompson, 1971), which for known C_i the EM algorithm climbs without leaving the positive
-semidefinite matrices (Laird and Ware, 1982).
+The parameters of the machine differ from one recording to the next, by far more than the covariance C_i of each
+estimate. S is the covariance of this scatter. It is estimated by restricted maximum likelihood (Patterson and Thompson,
+1971). For known C_i the EM algorithm maximises the likelihood and keeps S positive semidefinite (Laird and Ware, 1982).
 """
 
 from __future__ import annotations
@@ -16,25 +15,26 @@ import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
 
-_TOLERANCE = 1e-4  # change of S in one step, relative to the residuals' variance
-_LEAST = 1e-3  # the smallest eigenvalue of S to start from, in the same units
-_MOST = 500  # steps
+_TOLERANCE = 1e-4  # change of S in one step, relative to the variance of the residuals
+_LEAST = 1e-3  # smallest eigenvalue of the start value of S, in the same units
+_MOST = 500  # largest number of steps
 
 
 class MixedFit(NamedTuple):
-    """Coefficients and scatter.
+    """Coefficients and scatter of a mixed-effects model.
 
     Attributes
     ----------
     coefficients : (m,) array
+        Coefficients c.
     covariance : (m, m) array
-        Of the coefficients, ``(sum X_i' V_i^-1 X_i)^-1`` with ``V_i = C_i + S``.
+        Covariance of the coefficients, ``(sum X_i' V_i^-1 X_i)^-1`` with ``V_i = C_i + S``.
     scatter : (k, k) array
         S.
     steps : int
-        EM steps taken.
+        Number of EM steps.
     settled : bool
-        Whether S had settled after them.
+        Whether S has converged.
     """
 
     coefficients: FloatArray
@@ -45,7 +45,7 @@ class MixedFit(NamedTuple):
 
 
 class Weighted(NamedTuple):
-    """Generalised least squares for given V: coefficients (m,), covariance (m, m), residuals (n, k)."""
+    """Generalised least-squares solution for given V: coefficients (m,), covariance (m, m), residuals (n, k)."""
 
     coefficients: FloatArray
     covariance: FloatArray
@@ -53,12 +53,14 @@ class Weighted(NamedTuple):
 
 
 def generalised(y: FloatArray, X: FloatArray, V: FloatArray) -> Weighted:
-    """Generalised least squares.
+    """Return the generalised least-squares solution.
 
     Parameters
     ----------
     y : (n, k) array
+        Observations.
     X : (n, k, m) array
+        Regressors of each row.
     V : (n, k, k) array
         Covariance of each row of y; rows are independent.
     """
@@ -70,17 +72,18 @@ def generalised(y: FloatArray, X: FloatArray, V: FloatArray) -> Weighted:
 
 
 def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray | None = None) -> MixedFit:
-    """Estimate coefficients and scatter.
+    """Return the coefficients and the scatter by restricted maximum likelihood.
 
     Parameters
     ----------
     y : (n, k) array
-        Of the order of one.
+        Observations, scaled to the order of one.
     X : (n, k, m) array
+        Regressors of each row.
     C : (n, k, k) array
-        Covariance of each row's own error.
+        Covariance of the error of each row.
     start : (k, k) array, optional
-        Scatter to start from; by moments when not given.
+        Start value of the scatter; by default from moments.
 
     Returns
     -------
@@ -90,12 +93,12 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
     residuals = generalised(y, X, np.broadcast_to(np.eye(k), C.shape)).residuals
     freedom = max(1.0, n - X.shape[2] / k)
     size = np.sqrt(np.mean(residuals**2, axis=0) * n / freedom)
-    size = np.where(size > 0, size, 1.0)  # EM runs in units in which every parameter's residuals are one
+    size = np.where(size > 0, size, 1.0)  # EM works on scaled data with residuals of size one
     outer = np.outer(size, size)
     y, X, C = y / size, X / size[:, None], C / outer
     spread = residuals.T @ residuals / freedom / outer
     S = _positive(spread - C.mean(axis=0)) if start is None else start / outer
-    # Recordings of one operating point share their row of X: sums over points are cheaper than over recordings.
+    # Recordings of one operating point have equal rows of X, so sums over points need fewer operations.
     _, first, group = np.unique(X.reshape(n, -1), axis=0, return_index=True, return_inverse=True)
     alike, distinct = group.ravel()[:, None] == np.arange(len(first)), X[first]
     change, step = np.inf, 0
@@ -118,7 +121,7 @@ def with_scatter(y: FloatArray, X: FloatArray, C: FloatArray, start: FloatArray 
 def _by_point(
     y: FloatArray, distinct: FloatArray, alike: BoolArray, inverse: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Generalised least squares from sums over operating points: coefficients (m,) and their covariance."""
+    """Return coefficients (m,) and their covariance by generalised least squares, with sums over operating points."""
     weights = np.einsum("ip,ikl->pkl", alike, inverse, optimize=True)
     targets = np.einsum("ip,ikl,il->pk", alike, inverse, y, optimize=True)
     transposed = distinct.transpose(0, 2, 1)
@@ -127,22 +130,21 @@ def _by_point(
 
 
 def _positive(matrix: FloatArray) -> FloatArray:
-    """Replace eigenvalues that are not positive by small ones: EM cannot leave a singular start."""
+    """Replace eigenvalues that are not positive by small ones, because EM cannot leave a singular start value."""
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.maximum(values, _LEAST)) @ vectors.T)
 
 
 def _inverse(information: FloatArray) -> FloatArray:
-    """Inverse of a positive definite matrix, scaled first."""
+    """Return the inverse of a positive definite matrix, computed with scaling."""
     scale = 1 / np.sqrt(np.diag(information))
     return np.asarray(np.linalg.inv(information * np.outer(scale, scale)) * np.outer(scale, scale))
 
 
 def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray) -> FloatArray:
-    """Covariance of generalised least-squares coefficients that does not believe V, (m, m).
+    """Return the covariance of generalised least-squares coefficients without the assumption that V is right, (m, m).
 
-    Residuals take the place of the errors, made larger where a row pulls the fit to itself (HC3: MacKinnon and
-    White, 1985).
+    The residuals replace the errors. They are enlarged for rows with large leverage (HC3: MacKinnon and White, 1985).
     """
     weighted = np.linalg.solve(V, X)
     inverse = _inverse(np.einsum("ikm,ikl->ml", X, weighted, optimize=True))

@@ -1,4 +1,4 @@
-"""Which order the surfaces need: by prediction of operating points that were left out, and by lack of fit."""
+"""Order of the surfaces: cross-validation over operating points, and lack-of-fit test."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, e
 
 @dataclass(frozen=True, eq=False)
 class OrderScore:
-    """How well polynomials of one order predict operating points that they were not fitted to.
+    """Cross-validation score of polynomials of one order.
 
     Attributes
     ----------
     order : int
+        Order of the polynomials.
     rms : (14,) array
-        Of estimate minus prediction over all recordings, each predicted from the other operating points; SI per
-        kg. nan where the operating points do not carry the order.
+        Root mean square of estimate minus prediction over all recordings, each predicted from the other operating
+        points, SI per kg. nan when the operating points do not determine polynomials of this order.
     score : float
-        Geometric mean over the parameters, relative to the lowest order; below one is better.
+        Geometric mean of the rms over the parameters, relative to the lowest order; below one is better.
     why_not : str
-        Why the order is not possible; else empty.
+        Reason why the order is not possible; otherwise empty.
     """
 
     order: int
@@ -35,13 +36,14 @@ class OrderScore:
 
 
 def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, ...]:
-    """Leave one operating point out at a time, for orders 0 to 3.
+    """Return the scores of the orders 0 to 3, by leave-one-operating-point-out cross-validation.
 
     Parameters
     ----------
     points : (n, 2) array
         Pressure [bar] and speed [rpm].
     values : (n, k) array
+        Estimates, SI per kg.
 
     Returns
     -------
@@ -62,7 +64,7 @@ def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, 
 
 
 def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
-    """Return the order that predicts best, up to `highest`.
+    """Return the order with the best score, up to `highest`.
 
     Raises
     ------
@@ -76,10 +78,10 @@ def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
 
 
 def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
-    """Probability that surfaces miss the operating points' means by as much if they were right, (k,).
+    """Return the p-value of the lack-of-fit test of the surfaces, (k,).
 
-    The classical F test: what the points' means lie off the surface against what recordings of one point scatter.
-    nan without repeated recordings or without more points than terms.
+    This is the classical F test: the deviation of the means of the operating points from the surface is compared with
+    the scatter of recordings at one point. It is nan without repeated recordings, or without more points than terms.
     """
     _, group = np.unique(points, axis=0, return_inverse=True)
     group = group.ravel()

@@ -1,4 +1,4 @@
-"""Fits that lie off the surfaces: named by a robust rule, and weighed down (Huber) where that is asked for."""
+"""Outliers from the surfaces: a robust rule that finds them, and Huber's estimate that gives them less weight."""
 
 from __future__ import annotations
 
@@ -14,25 +14,28 @@ from gbid.structure import KEY_PARAMETERS
 
 _MAD = 1.4826  # standard deviation of a normal variable over its median absolute deviation
 _LEAST = 3.5  # Iglewicz and Hoaglin, How to Detect and Handle Outliers (1993)
-_FALSE_ALARM = 0.05  # probability that any of all entries is named when all is normal
+_FALSE_ALARM = 0.05  # probability of at least one outlier when all entries are normal
 HUBER = 1.345  # standard deviations; 95 % efficient for normal errors (Huber, Robust Statistics, 1981)
-CLIPPING_SLOPE = 1 - 2 * float(ndtr(-HUBER))  # mean slope of the clipping, and variance of a clipped normal variable:
-_DENSITY = float(np.exp(-(HUBER**2) / 2) / np.sqrt(2 * np.pi))  # of a normal variable at HUBER
+CLIPPING_SLOPE = 1 - 2 * float(ndtr(-HUBER))  # mean slope of the clipping function
+_DENSITY = float(
+    np.exp(-(HUBER**2) / 2) / np.sqrt(2 * np.pi)
+)  # density of a standard normal variable at HUBER; the next line is the variance of a clipped one
 _VARIANCE = CLIPPING_SLOPE - 2 * HUBER * _DENSITY + 2 * HUBER**2 * float(ndtr(-HUBER))
 _ROUNDS, _SETTLED = 30, 1e-2  # of a standard deviation
 
 
 @dataclass(frozen=True)
 class Outlier:
-    """A recording that lies off the surface of one key parameter.
+    """Recording far from the surface of one key parameter.
 
     Attributes
     ----------
     recording, parameter : str
+        Names of the recording and of the key parameter.
     deviation : float
         Estimate minus surface, SI per kg.
     standardised : float
-        The same in robust standard deviations.
+        Deviation in robust standard deviations.
     """
 
     recording: str
@@ -42,9 +45,10 @@ class Outlier:
 
 
 def standardised(residuals: FloatArray, V: FloatArray) -> FloatArray:
-    """Residuals (n, k) over their standard deviations, whose scale the median of each column sets.
+    """Return residuals (n, k) over their standard deviations.
 
-    `V` (n, k, k) says how the rows compare; an outlier that has blown it up does not hide behind it.
+    `V` (n, k, k) gives the ratio of the standard deviations of the rows. The scale of each column comes from the
+    median, so that an outlier that has enlarged `V` is still found.
     """
     z = residuals / np.sqrt(np.einsum("ikk->ik", V))
     return np.asarray(z / _scale(z))
@@ -55,15 +59,15 @@ def _scale(z: FloatArray) -> FloatArray:
 
 
 def threshold(count: int) -> float:
-    """Standardised residual beyond which an entry is an outlier.
+    """Return the largest standardised residual that is not an outlier.
 
-    3.5, or more where so many entries are looked at that normal ones would go beyond by chance.
+    It is 3.5, and larger for many entries, because some normal values then exceed 3.5 by chance.
     """
     return max(_LEAST, float(-ndtri(_FALSE_ALARM / (2 * count))))
 
 
 def outliers(recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray) -> tuple[Outlier, ...]:
-    """Name the entries of (n, 14) arrays beyond the threshold, worst first."""
+    """Return the entries of (n, 14) arrays beyond the threshold, the largest first."""
     limit = threshold(z.size)
     found = [
         Outlier(recordings[i], KEY_PARAMETERS[j], float(residuals[i, j]), float(z[i, j]))
@@ -78,12 +82,13 @@ class HuberEstimate(NamedTuple):
     Attributes
     ----------
     coefficients : (m,) array
+        Coefficients.
     scatter : (k, k) array
-        What the clipping took from it restored.
+        Scatter, corrected for the clipping.
     clipped : (n, k) array
-        The data with residuals clipped.
+        Data with clipped residuals.
     cost : float
-        Factor on the coefficients' covariance: what the clipping costs.
+        Factor on the covariance of the coefficients that accounts for the clipping.
     """
 
     coefficients: FloatArray
@@ -93,14 +98,16 @@ class HuberEstimate(NamedTuple):
 
 
 def huber_estimate(y: FloatArray, X: FloatArray, C: FloatArray | None) -> HuberEstimate:
-    """Huber's estimate by modified residuals: what lies beyond 1.345 standard deviations counts as that far.
+    """Return Huber's estimate by modified residuals, which are clipped at 1.345 standard deviations.
 
     Parameters
     ----------
     y : (n, k) array
+        Observations.
     X : (n, k, m) array
+        Regressors of each row.
     C : (n, k, k) array or None
-        Own covariance of each row, to which scatter is added; None for rows that weigh alike.
+        Covariance of the error of each row, to which scatter is added; None for rows of equal weight.
     """
     n, k = y.shape
     S = np.zeros((k, k)) if C is None else with_scatter(y, X, C).scatter

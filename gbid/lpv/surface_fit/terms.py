@@ -1,4 +1,4 @@
-"""Terms over pressure and speed as well-conditioned columns, and what a grid of operating points can tell apart."""
+"""Terms over pressure and speed as well-conditioned regressors, and whether operating points determine them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from gbid.errors import DataError, UsageError
 from gbid.lpv.basis import EXPONENTS, TERMS
 
 Exponents = tuple[tuple[int, int], ...]
-HIGHEST_ORDER = 3  # compared, though the model itself holds the six terms of Eq. 16 only
-_DARK = 1e-9  # singular value, of the largest, below which terms cannot be told apart
+HIGHEST_ORDER = 3  # highest order that is compared; the model itself has the six terms of Eq. 16 only
+_DARK = 1e-9  # terms are not determined when a singular value is below this share of the largest
 
 
 class Orthonormal(NamedTuple):
@@ -22,7 +22,7 @@ class Orthonormal(NamedTuple):
     Attributes
     ----------
     columns : (n_points, n_terms) array
-        Mean square one, orthogonal to each other.
+        Regressors of mean square one, orthogonal to each other.
     back : (n_terms, n_terms) array
         ``coefficients of the terms in bar and rpm = back @ coefficients of the columns``.
     """
@@ -32,18 +32,18 @@ class Orthonormal(NamedTuple):
 
 
 def exponents_of(order: int) -> Exponents:
-    """Powers of (P, Omega) up to a total order; up to the second in the order of `gbid.lpv.TERMS`."""
+    """Return the powers of (P, Omega) up to a total order; up to order 2 in the order of `gbid.lpv.TERMS`."""
     higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
     return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
 
 
 def chosen_exponents(order: int | Sequence[str]) -> Exponents:
-    """Powers of an order, 0 to 2, or of terms by name.
+    """Return the powers of (P, Omega) of an order 0 to 2, or of terms by name.
 
     Raises
     ------
     UsageError
-        For an order or a term that the model does not have.
+        When the model does not have this order or term.
     """
     if isinstance(order, int):
         if isinstance(order, bool) or not 0 <= order <= 2:
@@ -52,24 +52,25 @@ def chosen_exponents(order: int | Sequence[str]) -> Exponents:
     names = (order,) if isinstance(order, str) else tuple(order)
     unknown = [name for name in names if name not in TERMS]
     if unknown or not names or len(set(names)) < len(names):
-        problem = f"{unknown[0]!r} is no term" if unknown else "give each term once, and at least one"
+        problem = f"{unknown[0]!r} is not a term" if unknown else "give each term once, and at least one"
         raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(TERMS)}, or 0, 1, 2, 'auto'")
     return tuple(EXPONENTS[TERMS.index(name)] for name in sorted(names, key=TERMS.index))
 
 
 def monomials(points: FloatArray, exponents: Exponents) -> FloatArray:
-    """Columns ``P^i Omega^j`` of points (n, 2) in bar and rpm, shape (n, n_terms)."""
+    """Return the columns ``P^i Omega^j`` of points (n, 2) in bar and rpm, shape (n, n_terms)."""
     return np.stack([points[:, 0] ** i * points[:, 1] ** j for i, j in exponents], axis=-1)
 
 
 def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
-    """Make the terms orthogonal over the points: bar and rpm differ by a thousand, their squares by a million.
+    """Return terms that are orthogonal over the points, because the numbers in bar and rpm differ by large factors.
 
     Parameters
     ----------
     points : (n, 2) array
         Pressure [bar] and speed [rpm].
     exponents : tuple of (int, int)
+        Powers of (P, Omega) of each term.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
     Raises
     ------
     DataError
-        When there are fewer operating points than terms, or they do not tell the terms apart.
+        When there are fewer operating points than terms, or when they do not determine the terms.
     """
     check_points(points, exponents)
     raw = monomials(points, exponents)
@@ -91,7 +92,7 @@ def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
 
 
 def check_points(points: FloatArray, exponents: Exponents) -> None:
-    """Refuse operating points that do not carry the terms; see `orthonormal`."""
+    """Refuse operating points that do not determine the terms; see `orthonormal`."""
     names = [term_name(e) for e in exponents]
     distinct = distinct_points(points)
     if len(distinct) < len(exponents):
@@ -104,7 +105,8 @@ def check_points(points: FloatArray, exponents: Exponents) -> None:
     empty = [name for name, s in zip(names, size, strict=True) if s == 0]
     if empty:
         raise DataError(
-            f"operating points: zero at all of them: {', '.join(empty)}; add points or choose terms without"
+            f"operating points: some terms are zero at all of them: {', '.join(empty)}; add points or leave these "
+            "terms out"
         )
     _, s, vectors = np.linalg.svd(raw / size)
     dark = vectors[s < _DARK * s[0]]
@@ -116,18 +118,18 @@ def check_points(points: FloatArray, exponents: Exponents) -> None:
             for i, what in enumerate(("pressures", "speeds"))
         )
         raise DataError(
-            f"operating points cannot tell apart {together}: there are {levels}; "
+            f"operating points do not determine {together} separately: there are {levels}; "
             "add operating points or choose a lower order"
         )
 
 
 def distinct_points(points: FloatArray) -> FloatArray:
-    """Operating points once each, (n_distinct, 2), sorted by pressure, then speed."""
+    """Return the distinct operating points, (n_distinct, 2), sorted by pressure, then speed."""
     return np.unique(points, axis=0)
 
 
 def term_name(exponent: tuple[int, int]) -> str:
-    """Name of a term, as in `gbid.lpv.TERMS`."""
+    """Return the name of a term, as in `gbid.lpv.TERMS`."""
     if exponent in EXPONENTS:
         return TERMS[EXPONENTS.index(exponent)]
     letters = zip(("P", "Omega"), exponent, strict=True)
