@@ -223,7 +223,7 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
     result = design.result
     provenance: dict[str, str | float] = {
         "experiment": job.experiment.spec.name,
-        "status": result.status,
+        "status": str(result.status),
         result.objective: result.value,
         "verified_on": result.verified_on,
     }
