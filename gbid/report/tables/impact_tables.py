@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from gbid.control.impact.impact_store import mode_rows, response_rows
 from gbid.control.impact.study import ImpactStudy
@@ -17,17 +17,34 @@ IMPACT_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
 """Figures of impacts in the rows of responses: name, unit, factor to what tables show."""
 _PAPER = ("open", "closed")
 """Loops that Tables 3 and 4 have."""
-_QUANTITIES = (
-    ("natural frequencies", "ω", "Hz", "frequency", 0, 1),
-    ("damping factors", "ζ", "", "damping", 1, 3),
-)
 
-# Words, and how an entry of a mode begins and ends, with so many decimals more.
+
+class _Quantity(NamedTuple):
+    """A quantity of a mode: its sign and unit, its key in the documents and column of what is published, its digits."""
+
+    words: str
+    sign: str
+    unit: str
+    key: str
+    column: int
+    digits: int
+
+    def of(self, document: Row, mode: int, entry: str) -> Any:
+        """Value of a mode of a study; None where there is no such mode."""
+        name = entry.format(self.key) + (f" [{self.unit}]" if self.unit else "")
+        return next((row[name] for row in document["modes"] if row["mode"] == mode), None)
+
+
+_QUANTITIES = (
+    _Quantity("natural frequencies", "ω", "Hz", "frequency", 0, 1),
+    _Quantity("damping factors", "ζ", "", "damping", 1, 3),
+)
+# Words, the entry of a mode with the key of the quantity, and so many decimals more.
 _LINES = (
-    ("expected from model", "expected", "", 0),
-    ("expected as it runs, sampled", "running", "", 0),
-    ("obtained from the impacts", "obtained", "", 2),
-    ("  standard deviation", "obtained", "_std", 2),
+    ("expected from model", "expected_{}", 0),
+    ("expected as it runs, sampled", "running_{}", 0),
+    ("obtained from the impacts", "obtained_{}", 2),
+    ("  standard deviation", "obtained_{}_std", 2),
 )
 
 
@@ -81,52 +98,49 @@ def impact_tables(documents: Sequence[Row]) -> list[Table]:
         here = {d["loop"]: d for d in documents if (d["pressure_bar"], d["speed_rpm"]) == (pressure, speed)}
         where = point_label(pressure, speed)
         paper = {loop: document for loop, document in here.items() if loop in _PAPER}
-        for what, sign, unit, key, column, digits in _QUANTITIES if paper else ():
-            tables.append(_mode_table(f"{where}: {what}", paper, sign, unit, key, column, digits))
-        tables += [_loop_table(f"{where}: {loop}", document) for loop, document in here.items() if loop not in paper]
+        tables += [_quantity_table(where, paper, quantity) for quantity in _QUANTITIES if paper]
+        for loop, document in here.items():
+            if loop not in paper:
+                shown = [(f"{q.sign}{mode}", document, mode, q) for q in _QUANTITIES for mode in (1, 2)]
+                tables.append(_mode_table(f"{where}: {loop}", shown))
         tables.append(_response_table(where, list(here.values())))
         tables.append(_impact_figures_table(where, list(here.values())))
     return tables
 
 
-def _loop_table(title: str, document: Row) -> Table:
-    """Table of the modes of a further closed loop."""
-    columns = [Column(f"{sign}{mode}", unit, 4) for _, sign, unit, *_ in _QUANTITIES for mode in (1, 2)]
-    rows: list[list[Entry]] = [
-        [
-            words,
-            *(
-                formatted(_mode(document, mode, f"{prefix}_{key}{suffix}", unit), f".{digits + more}f")
-                for _, _, unit, key, _, digits in _QUANTITIES
-                for mode in (1, 2)
-            ),
-        ]
-        for words, prefix, suffix, more in _LINES
-    ]
-    return Table(title, [Column(""), *columns], rows)
-
-
-def _mode_table(title: str, here: Mapping[str, Row], sign: str, unit: str, key: str, column: int, digits: int) -> Table:
+def _quantity_table(where: str, here: Mapping[str, Row], quantity: _Quantity) -> Table:
     """Table of natural frequencies or damping factors, open and closed loop, with those of the paper."""
-    shown = [(mode, loop) for mode in (1, 2) for loop in _PAPER if loop in here]
-    columns = [Column(f"{sign}{mode},{'ol' if loop == 'open' else 'cl'}", unit, 4) for mode, loop in shown]
-    closed = any(document["controller"] for document in here.values())
-    rows: list[list[Entry]] = [
-        [
-            words,
-            *(
-                formatted(_mode(here[loop], mode, f"{prefix}_{key}{suffix}", unit), f".{digits + more}f")
-                for mode, loop in shown
-            ),
-        ]
-        for words, prefix, suffix, more in _LINES
-        if closed or prefix != "running"
+    shown = [
+        (f"{quantity.sign}{mode},{'ol' if loop == 'open' else 'cl'}", here[loop], mode, quantity)
+        for mode in (1, 2)
+        for loop in _PAPER
+        if loop in here
     ]
+    more: list[list[Entry]] = []
     for words, kind in (("paper: expected from model", "expected"), ("paper: obtained experimentally", "measured")):
-        values = [_published(here[loop], kind, mode, column) for mode, loop in shown]
-        if any(value is not None for value in values):
-            rows.append([words, *(formatted(value, f".{digits}f") for value in values)])
-    return Table(title, [Column(""), *columns], rows)
+        modes = [document["published"].get(kind) for _, document, *_ in shown]
+        if any(known is not None for known in modes):
+            values = [
+                known and known[mode - 1][quantity.column] for known, (*_, mode, _) in zip(modes, shown, strict=True)
+            ]
+            more.append([words, *(formatted(value, f".{quantity.digits}f") for value in values)])
+    return _mode_table(f"{where}: {quantity.words}", shown, more)
+
+
+def _mode_table(
+    title: str, shown: Sequence[tuple[str, Row, int, _Quantity]], more: Sequence[list[Entry]] = ()
+) -> Table:
+    """Table of expected and obtained modes: in each column, a quantity of one mode of one study."""
+    rows: list[list[Entry]] = []
+    closed = any(document["controller"] for _, document, *_ in shown)
+    for words, entry, decimals in _LINES:
+        if closed or "running" not in entry:
+            cells = (
+                formatted(q.of(document, mode, entry), f".{q.digits + decimals}f") for _, document, mode, q in shown
+            )
+            rows.append([words, *cells])
+    columns = [Column(heading, quantity.unit, 4) for heading, _, _, quantity in shown]
+    return Table(title, [Column(""), *columns], [*rows, *more])
 
 
 def _response_table(where: str, documents: Sequence[Row]) -> Table:
@@ -164,13 +178,3 @@ def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
         notes += [f"note, {document['loop']} loop: {note}" for note in document["notes"]]
         notes += [] if document["success"] else [f"{document['loop']} loop: {document['status']}"]
     return Table(f"{where}: after an impact, mean over the impacts", columns, rows, ["", *notes] if notes else ())
-
-
-def _mode(document: Row, mode: int, entry: str, unit: str) -> Any:
-    key = f"{entry} [{unit}]" if unit else entry
-    return next((row[key] for row in document["modes"] if row["mode"] == mode), None)
-
-
-def _published(document: Row, kind: str, mode: int, column: int) -> Any:
-    modes = document["published"].get(kind)
-    return None if modes is None else modes[mode - 1][column]
