@@ -16,7 +16,6 @@ if TYPE_CHECKING:
         plot_actuator_parameters,
         plot_fit_histogram,
     )
-    from gbid.report.designs import designs_pareto_data
     from gbid.report.diagrams import (
         plot_closed_loop,
         plot_differential_pairing,
@@ -56,7 +55,15 @@ if TYPE_CHECKING:
     from gbid.report.residuals import plot_residuals, residuals_data, residuals_figure
     from gbid.report.static_map import StaticSweep, plot_static_map, static_sweep_data
     from gbid.report.surfaces import Surface, plot_surfaces, surfaces_data
-    from gbid.report.tuning import DampingMap, ParetoFront, damping_map_data, pareto_data, plot_damping_map, plot_pareto
+    from gbid.report.tuning import (
+        DampingMap,
+        ParetoFront,
+        damping_map_data,
+        designs_pareto_data,
+        pareto_data,
+        plot_damping_map,
+        plot_pareto,
+    )
 
 _HOME = {
     "across": (
@@ -66,7 +73,6 @@ _HOME = {
         "plot_actuator_parameters",
         "plot_fit_histogram",
     ),
-    "designs": ("designs_pareto_data",),
     "diagrams": (
         "plot_closed_loop",
         "plot_differential_pairing",
@@ -104,6 +110,7 @@ _HOME = {
         "DampingMap",
         "ParetoFront",
         "damping_map_data",
+        "designs_pareto_data",
         "pareto_data",
         "plot_damping_map",
         "plot_pareto",

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.control.assessment.tuned_design import TunedDesign
+from gbid.control.tuning.gain_result import GainResult
 from gbid.report.canvas import BLACK, RED, panels, series, styled
+from gbid.report.reader.designs import comparable_designs, design_performances
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -62,6 +66,49 @@ def pareto_data(
     peaks = {label: pairs[:, 0] for label, pairs in sorted_designs.items()}
     damping = {label: pairs[:, 1] for label, pairs in sorted_designs.items()}
     return ParetoFront(peaks, damping, dict(marked or {}), title)
+
+
+def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoFront:
+    """Give the fronts of comparable designs with the published design on them, for `plot_pareto`.
+
+    Parameters
+    ----------
+    designs : dict of str to TunedDesign
+        By name; each with its designs under other caps.
+
+    Returns
+    -------
+    ParetoFront
+        By structure; designs that keep not all their limits are left out.
+
+    Raises
+    ------
+    DataError
+        When there are no designs.
+    """
+    chosen = comparable_designs(designs)
+    fronts: dict[str, list[tuple[float, float]]] = {}
+    for name, design in chosen.items():
+        results = [design.result, *(result for _, result in design.front)]
+        label = design.performance[0].structure if design.performance else name
+        label = name if label in fronts else label
+        fronts[label] = [_place(result) for result in results if result.success and result.peak_sensitivity is not None]
+    first, marked = next(iter(chosen.values())), {}
+    runs = first.result.sample_time is not None
+    figures = ("sampled_peak_output", "sampled_damping") if runs else ("peak_output", "damping")
+    for performance in design_performances(designs)[len(chosen) :]:
+        peak, damping = (performance.worst[figure][0] for figure in figures)
+        if np.isfinite([peak, damping]).all():
+            marked[performance.name] = (peak, damping)
+    title = f"{first.plant}, worst of {len(first.result.points)} operating points"
+    if first.result.sample_time is not None:
+        title += f", sampled at {1e3 * first.result.sample_time:g} ms"
+    return pareto_data(fronts, marked, title)
+
+
+def _place(result: GainResult) -> tuple[float, float]:
+    assert result.peak_sensitivity is not None
+    return result.peak_sensitivity, result.value
 
 
 @styled
@@ -119,9 +166,10 @@ class DampingMap:
 
 def damping_map_data(
     model: LPVModel,
-    controller: LinearModel | None = None,
+    controller: LinearModel | Callable[[tuple[float, float]], LinearModel] | None = None,
     *,
     n: int = 21,
+    points: npt.ArrayLike | None = None,
     pade_order: int | None = None,
     title: str = "",
 ) -> DampingMap:
@@ -130,10 +178,12 @@ def damping_map_data(
     Parameters
     ----------
     model : LPVModel
-    controller : LinearModel, optional
-        From p to r; the open loop when left out.
+    controller : LinearModel or callable, optional
+        From p to r, or a function that gives it at ``(pressure_bar, speed_rpm)``; the open loop when left out.
     n : int
         Points in each direction.
+    points : (k, 2) array, optional
+        Operating points to be marked; the model's when left out.
     pade_order : int, optional
         Order of the delays' approximation; the model's own when left out.
     title : str
@@ -147,12 +197,13 @@ def damping_map_data(
 
     pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
     damping = np.empty((n, n))
-    for i, bar in enumerate(pressure):
-        for j, rpm in enumerate(speed):
-            plant = model.plant_at(float(bar), float(rpm), pade_order=pade_order)
-            loop = plant if controller is None else close_loop(plant, controller)
-            damping[i, j] = smallest_damping(loop)
-    return DampingMap(pressure, speed, damping, np.array(model.operating_points, float).reshape(-1, 2), title)
+    for i, bar in enumerate(map(float, pressure)):
+        for j, rpm in enumerate(map(float, speed)):
+            plant = model.plant_at(bar, rpm, pade_order=pade_order)
+            here = controller((bar, rpm)) if callable(controller) else controller
+            damping[i, j] = smallest_damping(plant if here is None else close_loop(plant, here))
+    marked = np.array(model.operating_points if points is None else points, float).reshape(-1, 2)
+    return DampingMap(pressure, speed, damping, marked, title)
 
 
 @styled

@@ -25,8 +25,8 @@ from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.report.paper import figures, stage, tables
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
 from gbid.report.paper.reproduction import _values, judged, reproduction
-from gbid.report.paper.results import Results
 from gbid.report.paper.table import reproduction_markdown
+from gbid.report.reader import Results
 from gbid.share import share_folder
 from gbid.structure import KEY_PARAMETERS
 from gbid.validate import ValidationScores, summarise

@@ -17,12 +17,12 @@ from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
-from gbid.report.designs import comparable_designs
 from gbid.report.html import write_report
 from gbid.report.html.tuned_blocks import held_back
-from gbid.report.paper.results import Results
 from gbid.report.paper.table import reproduction_markdown
 from gbid.report.paper.tables import TABLES
+from gbid.report.reader import Results
+from gbid.report.reader.designs import comparable_designs
 
 YAML = """\
 format: 1
@@ -63,7 +63,7 @@ def page(made):
 
 
 def test_front_has_the_design_and_those_under_other_caps(results) -> None:
-    data = report.designs_pareto_data(results.designs)
+    data = report.designs_pareto_data(results.tuned)
     assert set(data.peak_sensitivity) == {"P", "held"}  # the third was tuned for another point
     np.testing.assert_allclose(data.peak_sensitivity["P"], [1.6, 2.0, 2.6], rtol=1e-6)
     assert (np.diff(data.damping["P"]) > 0).all()
@@ -76,7 +76,7 @@ def test_front_has_the_design_and_those_under_other_caps(results) -> None:
 
 
 def test_only_designs_on_the_same_terms_are_compared(results) -> None:
-    designs = results.designs
+    designs = results.tuned
     assert list(comparable_designs(designs)) == ["feedback", "held"]
     decay = replace(designs["held"], result=replace(designs["held"].result, objective="decay"))
     assert list(comparable_designs({**designs, "held": decay})) == ["feedback"]
@@ -92,10 +92,10 @@ def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
 
 
 def test_impacts_of_each_loop_stand_beside(results) -> None:
-    loops = results.loops_at(False)
+    loops = results.beside_at(False)
     assert list(loops) == ["open loop", "published gains", "tuned"]
     with pytest.raises(DataError, match="no impacts with a turning shaft"):
-        results.loops_at(True)
+        results.beside_at(True)
     table = TABLES["designs_impacts"](results)
     assert [row[1:3] for row in table.rows] == [(label, axis) for label in loops for axis in "xy"]
     column = table.columns.index("disc [um]")
@@ -134,7 +134,7 @@ def test_report_shows_designs_front_and_loops(page) -> None:
 
 
 def test_faults_of_designs_stand_on_top(page, results) -> None:
-    held = results.designs["held"]
+    held = results.tuned["held"]
     assert held_back(held) == ["held back by kappa_x at its upper bound; wider bounds may damp more"]
     top = page[page.index('id="summary"') : page.index('id="controller"')]
     assert "controller held: held back by kappa_x at its upper bound" in top
@@ -145,10 +145,10 @@ def test_faults_of_designs_stand_on_top(page, results) -> None:
 
 def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> None:
     other = write_quick(tmp_path, ("peak_sensitivity: 2.0", "peak_sensitivity: 1.9"), text=YAML)
-    found = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).designs
+    found = Results(Job(load_experiment(other, made.parent / "results" / "designs"))).tuned
     assert list(found) == ["held", "elsewhere"]
     with pytest.raises(DataError, match="design feedback: not made yet; `gbid tune` makes it"):
-        assert Results(Job(load_experiment(other, tmp_path / "out"))).designs
+        assert Results(Job(load_experiment(other, tmp_path / "out"))).tuned
 
 
 def test_report_shows_the_static_characterisation(tmp_path) -> None:

@@ -26,12 +26,11 @@ from gbid.experiment.stages.crossval.stage import run_crossval
 from gbid.experiment.stages.lpv.stage import draw_surfaces
 from gbid.experiment.stages.nominal.stage import choose_nominal
 from gbid.report.html import write_report
-from gbid.report.html.controller_section import loop_model
 from gbid.report.html.explorer import explorer_model
 from gbid.report.html.fits_section import fit_data
-from gbid.report.html.gather import Gathered
 from gbid.report.html.summary_section import warnings
 from gbid.report.html.traces import packed, trace
+from gbid.report.reader import Results
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 needs_chromium = pytest.mark.skipif(
@@ -197,8 +196,8 @@ def test_every_fit_can_be_reached_and_shows_what_the_library_computes(page, job)
             raw = np.frombuffer(base64.b64decode(output[word]["values"]), "<i2") * output[word]["scale"]
             expected = 1e6 * values[first::every, i][: len(raw)]
             assert np.abs(raw - expected).max() <= output[word]["scale"] / 2 * (1 + 1e-9)
-    gathered = Gathered(job)
-    result = next(q.result for q in gathered.fits if (q.fit, q.model) == ("bearing", name))
+    results = Results(job)
+    result = next(q.result for q in results.fits if (q.fit, q.model) == ("bearing", name))
     rows = {row[0]: row for row in fits[f"bearing/{name}"]["parameters"]}
     assert float(rows["k_xx"][1]) == pytest.approx(result.parameters["k_xx"], rel=1e-4)
     assert float(rows["k_xx"][2]) == pytest.approx(result.std["k_xx"], rel=0.05)
@@ -221,12 +220,12 @@ def test_lost_fits_are_named_with_reasons(job, tmp_path):
     changed = tmp_path / "changed.yaml"
     text = CAMPAIGN.replace("piezos: {structure: piezo_pair}", "piezos: {structure: piezo_pair, focus: simulation}")
     changed.write_text(text, encoding="utf-8")
-    gathered = Gathered(Job(load_experiment(changed, results)))
-    fits = fit_data(gathered)["fits"]
+    results = Results(Job(load_experiment(changed, results)))
+    fits = fit_data(results)["fits"]
     assert fits["bearing/p3_n0_prbs1"]["status"] == "missing: not made yet"
     assert fits["piezos/p3_n0_prbs1"]["status"].startswith("stale: made with other settings")
     assert fits["bearing/p3_n6000_prbs1"]["state"] in ("good", "warn")
-    glance = [link.text for link in warnings(gathered, [])]
+    glance = [link.text for link in warnings(results)]
     assert "1 fit not made yet" in glance
     assert "4 fits made with other settings or data" in glance
     assert "piezos: not validated with the present fits" in glance
@@ -327,7 +326,7 @@ def test_explorer_computes_what_the_library_computes(job, seed):
     pressure, speed = random.uniform(3, 7), random.uniform(0, 6000)
     kx, ky, corner = random.uniform(0, 1.1), random.uniform(0, 0.95), random.uniform(300, 2000)
     axis = "xy"[seed % 2]
-    model = loop_model(Gathered(job))[0]
+    model = Results(job).loop_model
     assert model.name == "small"  # the surfaces of this experiment, not the rig's
     found, text = explored(job, P=pressure, n=speed, kx=kx, ky=ky, fc=corner, axis=axis)
     assert found["settings"]["pressure"] == pressure
@@ -359,7 +358,7 @@ def test_explorer_computes_what_the_library_computes(job, seed):
 @needs_chromium
 def test_explorer_says_when_the_loop_is_unstable(job):
     found, text = explored(job, P=3.0, n=0.0, kx=3.0, ky=3.0, fc=1000.0)
-    model = loop_model(Gathered(job))[0]
+    model = Results(job).loop_model
     closed = close_loop(model.plant_at(3.0, 0.0), p_controller(3.0, 3.0, 1000.0))
     assert not closed.is_stable()
     assert not found["stable"]
@@ -368,5 +367,5 @@ def test_explorer_says_when_the_loop_is_unstable(job):
 
 
 def test_explorer_gets_the_model_as_it_is(page, job):
-    model = loop_model(Gathered(job))[0]
-    assert embedded(page, "explorer-model") == json.loads(json.dumps(explorer_model(model)))
+    model = Results(job).loop_model
+    assert embedded(page, "explorer-model") == json.loads(json.dumps(explorer_model(model, HalfSine())))

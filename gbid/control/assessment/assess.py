@@ -84,6 +84,7 @@ def assess(
     computation_s: float | None = None,
     method: Method = "tustin",
     impact: HalfSine | None = None,
+    piezo_travel_m: float | None = None,
 ) -> Assessment:
     """Assess the performance of a design over operating points.
 
@@ -108,6 +109,8 @@ def assess(
         How the controller is sampled.
     impact : HalfSine, optional
         Reference impact, along x and along y; the default of `HalfSine` when not given.
+    piezo_travel_m : float, optional
+        Travel of one stack [m]; the rig's when not given, 45 um where the model knows none.
 
     Returns
     -------
@@ -125,10 +128,10 @@ def assess(
         raise UsageError(f"assess: no operating points; give points=[(pressure_bar, speed_rpm), ...] for {lpv.name!r}")
     impact = impact or HalfSine()
     computation = sample_time if computation_s is None else computation_s
-    results = tuple(
-        assess_point(lpv, structure, gains, (float(pressure), float(speed)), sample_time, computation, method, impact)
-        for pressure, speed in chosen
-    )
+    if piezo_travel_m is None:
+        piezo_travel_m = lpv.rig["piezo_travel"].to("m") if "piezo_travel" in lpv.rig else 45e-6
+    conditions = sample_time, computation, method, impact, piezo_travel_m
+    results = tuple(assess_point(lpv, structure, gains, (float(bar), float(rpm)), *conditions) for bar, rpm in chosen)
     return Assessment(
         name or structure.name, structure.name, dict(gains), results, sample_time, computation, method, impact
     )

@@ -130,15 +130,15 @@ def assess_point(
     computation: float,
     method: Method,
     impact: HalfSine,
+    piezo_travel_m: float,
 ) -> PointAssessment:
     """Work out all figures of a design at one operating point; see `gbid.assess` for the arguments."""
     plant, controller = lpv.plant_at(*point), controller_at(structure, gains, *point)
     loop = sensitivities(plant, controller)
     closed = loop.model("plant")
-    travel = lpv.rig["piezo_travel"].to("m") if "piezo_travel" in lpv.rig else 45e-6
     actuators = evaluate(PiezoPair(), lpv.actuators, plant.input_names, ("u_x", "u_y"))
     impacts = [
-        impact_response(plant, controller, turned, actuators=actuators, piezo_travel_m=travel)
+        impact_response(plant, controller, turned, actuators=actuators, piezo_travel_m=piezo_travel_m)
         for turned in (impact.towards(0.0), impact.towards(90.0))
     ]
     sampled = sampled_loop(exact_plant(lpv, *point), controller, sample_time, computation_s=computation, method=method)

@@ -10,10 +10,11 @@ from typing import Any
 import h5py
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import BoolArray, FloatArray
 from gbid.control.assessment.assess import Assessment
 from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST
 from gbid.control.impact.half_sine import HalfSine
+from gbid.control.loop.sampling import Method
 from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.control.tuning.search.step import SearchStep
 from gbid.hdf5 import add_dataset, read_attribute, read_dataset, reading, writing
@@ -23,6 +24,7 @@ _WHERE_KNOWN = ("peak_sensitivity", "peak_control", "static_amplification", "sam
 _TEXTS = ("objective", "status", "verified_on")
 _NUMBERS = ("value", "violation")
 _LISTS = ("active", "notes")
+_VERDICTS = ("stable", "sampled_stable", "exceeds_travel")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +39,9 @@ class DesignFigures:
         Pressure [bar], speed [rpm].
     figures : (m, 12) array
         In the order of `gbid.control.assessment.point_assessment.FIGURES`; its units.
+    stable, sampled_stable, exceeds_travel : (m,) boolean array
+        At each point: of the continuous loop; of the loop as it runs; whether the impact asks for more travel than a
+        stack has.
     """
 
     name: str
@@ -44,13 +49,22 @@ class DesignFigures:
     gains: Mapping[str, float]
     points: FloatArray
     figures: FloatArray
+    stable: BoolArray
+    sampled_stable: BoolArray
+    exceeds_travel: BoolArray
 
     @classmethod
     def of(cls, assessment: Assessment) -> DesignFigures:
         """Take the numbers out of an assessment."""
         points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
-        return cls(assessment.name, assessment.structure, assessment.gains, np.array(points), np.array(figures))
+        verdicts = (np.array([getattr(q, name) for q in assessment.points]) for name in _VERDICTS)
+        about = assessment.name, assessment.structure, assessment.gains
+        return cls(*about, np.array(points), np.array(figures), *verdicts)
+
+    def at(self, row: int) -> dict[str, float]:
+        """Return the figures at one of the points, by name."""
+        return dict(zip(FIGURES, map(float, self.figures[row]), strict=True))
 
     @property
     def worst(self) -> dict[str, tuple[float, tuple[float, float]]]:
@@ -80,7 +94,9 @@ class TunedDesign:
     impact : HalfSine
         The impact of the figures.
     sample_time : float
-        Of their sampled loop [s].
+        Of their sampled loop [s]; its computation takes one sample.
+    method : {"tustin", "zoh"}
+        How the controller is sampled.
     """
 
     name: str
@@ -90,6 +106,7 @@ class TunedDesign:
     front: tuple[tuple[float, GainResult], ...]
     impact: HalfSine
     sample_time: float
+    method: Method = "tustin"
 
 
 def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -> None:
@@ -104,6 +121,7 @@ def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -
     """
     with writing(path, KIND, overwrite) as file:
         file.attrs.update({"name": design.name, "plant": design.plant, "sample_time": design.sample_time})
+        file.attrs["method"] = design.method
         file.attrs.update({"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s})
         _write_result(file.create_group("result"), design.result)
         for i, performance in enumerate(design.performance):
@@ -113,6 +131,8 @@ def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -
             add_dataset(group, "points", performance.points, "bar, rpm", "operating points")
             add_dataset(group, "figures", performance.figures, "SI", "figures of the design at the points")
             _write_texts(group["figures"], "columns", FIGURES)
+            for name in _VERDICTS:
+                add_dataset(group, name, getattr(performance, name), "", f"{name.replace('_', ' ')}, at the points")
         for i, (cap, result) in enumerate(design.front):
             group = file.create_group(f"front/{i:03d}")
             group.attrs["cap"] = cap
@@ -135,6 +155,7 @@ def load_tuned(path: str | Path) -> TunedDesign:
                 _read_gains(group),
                 read_dataset(group, "points"),
                 read_dataset(group, "figures"),
+                *(np.asarray(read_dataset(group, name), bool) for name in _VERDICTS),
             )
             for group in file.get("performance", {}).values()
         )
@@ -149,6 +170,7 @@ def load_tuned(path: str | Path) -> TunedDesign:
             front,
             impact,
             float(read_attribute(file, "sample_time")),
+            read_attribute(file, "method"),
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from gbid.control import HalfSine, PStructure
 from gbid.lpv import LPVModel
-from gbid.report.html.page import Part
+from gbid.report.html.page import Templated
 
 PEAK_SENSITIVITY = 2.6
 """Above this peak of S_o a design is warned of: the cap that `gbid.tune` keeps by default."""
@@ -16,13 +16,15 @@ CORNER_RANGE = (100.0, 2500.0)
 FREQUENCY_RANGE = (5.0, 1000.0)
 
 
-def explorer_model(model: LPVModel) -> dict[str, Any]:
+def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
     """Give the numbers that the page solves the loop from.
 
     Parameters
     ----------
     model : LPVModel
         With actuators.
+    impact : HalfSine
+        Its direction is chosen in the page.
 
     Returns
     -------
@@ -30,7 +32,6 @@ def explorer_model(model: LPVModel) -> dict[str, Any]:
         coefficients (Eq. 16), actuators (Eq. 12), pade_order, impact (peak [N], duration [s], mass [kg]),
         frequency [Hz] (first and last), peak_sensitivity.
     """
-    impact = HalfSine()
     return {
         "name": model.name,
         "coefficients": {key: list(values) for key, values in model.coefficients.items()},
@@ -47,7 +48,8 @@ def explorer_part(
     words: str,
     points: Sequence[tuple[float, float]],
     designs: Sequence[tuple[str, Any, Mapping[str, float]]],
-) -> Part:
+    impact: HalfSine,
+) -> Templated:
     """Build the gain explorer.
 
     Parameters
@@ -60,6 +62,7 @@ def explorer_part(
         The first one nearest to the middle of the domain is where it begins.
     designs : sequence of (name, structure, gains)
         Those that are P controllers behind a first-order low-pass become buttons; the last is where it begins.
+    impact : HalfSine
     """
     buttons: list[tuple[str, list[float | None]]] = [("no feedback", [0.0, 0.0, None])]
     for name, structure, gains in designs:
@@ -84,11 +87,11 @@ def explorer_part(
         ("corner", "Low-pass corner", "Hz", *CORNER_RANGE, 10, lowpass or 1000.0),
     ]
     keys = ("name", "label", "unit", "low", "high", "step", "value")
-    return Part(
+    return Templated(
         "explorer.html.j2",
         {
             "words": words,
-            "model": explorer_model(model),
+            "model": explorer_model(model, impact),
             "controls": [dict(zip(keys, control, strict=True)) for control in controls],
             "buttons": buttons,
         },

@@ -1,4 +1,4 @@
-"""Section on the fits: overview, worst and best, failures, and each one of them."""
+"""PageSection on the fits: overview, worst and best, failures, and each one of them."""
 
 from __future__ import annotations
 
@@ -6,73 +6,91 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
-from gbid.report.html.gather import Found, FoundFit, Gathered
-from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Part, Section, Table, Words, fit_href, point_words
+from gbid.errors import DataError
+from gbid.experiment.stages.crossval.pairing import validate_pair
+from gbid.experiment.stages.fit.plan import recordings_of
+from gbid.report.html.page import (
+    Block,
+    Cell,
+    Fold,
+    Link,
+    Listed,
+    PageSection,
+    Table,
+    Templated,
+    Words,
+    fit_href,
+    point_words,
+)
+from gbid.report.html.traces import trace
+from gbid.report.reader import Results
+from gbid.report.reader.fits import MadeFit
+from gbid.report.reader.standings import Standing
 from gbid.report.tables.fit_summary import summary_lines
 from gbid.tables.numbers import engineering, shown_unit
 
 _NAMED = 5
 
 
-def fits_section(gathered: Gathered) -> Section:
+def fits_section(results: Results) -> PageSection:
     """Sum up the fits and give each of them."""
     title = "Fits"
-    if not gathered.experiment.spec.fits:
-        return Section("fits", title, [Words("This experiment asks for no fits.")])
+    if not results.experiment.spec.fits:
+        return PageSection("fits", title, [Words("This experiment asks for no fits.")])
     blocks: list[Block] = []
-    lost = lost_fits(gathered)
+    lost = lost_fits(results)
     if lost:
         rows = [(Link(f.item, f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
         blocks.append(
             Table("Fits that are not there", ("fit", "state", "reason"), rows, left=("fit", "state", "reason"))
         )
-    for name in gathered.experiment.spec.fits:
-        there = [q for q in gathered.fits if q.fit == name]
+    for name in results.experiment.spec.fits:
+        there = [q for q in results.fits if q.fit == name]
         if there:
-            blocks += _overview(gathered, name, there)
-    blocks += _notes(gathered.fits)
-    data = fit_data(gathered)
+            blocks += _overview(results, name, there)
+    blocks += _notes(results.fits)
+    data = fit_data(results)
     if data["fits"]:
         groups: dict[str, list[tuple[str, str]]] = {}
         for key, document in data["fits"].items():
             groups.setdefault(key.partition("/")[0], []).append((key, document["label"]))
-        blocks.append(Part("fit.html.j2", {"groups": groups, "data": data}))
-    return Section("fits", title, blocks)
+        blocks.append(Templated("fit.html.j2", {"groups": groups, "data": data}))
+    return PageSection("fits", title, blocks)
 
 
-def lost_fits(gathered: Gathered) -> list[Found]:
+def lost_fits(results: Results) -> list[Standing]:
     """Fits that are asked for and not there."""
-    return [f for f in gathered.standings if f.stage == "fit" and f.state != "there"]
+    return [f for f in results.standings if f.stage == "fit" and f.state != "there"]
 
 
-def fit_data(gathered: Gathered) -> dict[str, Any]:
+def fit_data(results: Results) -> dict[str, Any]:
     """Collect what the page's script shows of each fit."""
     fits: dict[str, Any] = {}
-    for q in gathered.fits:
-        fits[f"{q.fit}/{q.model}"] = _document(gathered, q)
-    for f in lost_fits(gathered):
+    for q in results.fits:
+        fits[f"{q.fit}/{q.model}"] = {**_document(results, q), **_curves(results, q)}
+    for f in lost_fits(results):
         empty: dict[str, Any] = {"parameters": [], "modes": [], "gains": [], "facts": [], "traces": [], "no_trace": ""}
         title = {"title": f.item, "label": f"{f.item.partition('/')[2]}: {f.state}", "state": "bad"}
         fits[f.item] = {**empty, **title, "status": f"{f.state}: {f.text}"}
-    order = {name: i for i, name in enumerate(gathered.experiment.spec.fits)}
+    order = {name: i for i, name in enumerate(results.experiment.spec.fits)}
     return {"fits": dict(sorted(fits.items(), key=lambda item: order[item[0].partition("/")[0]]))}
 
 
-def _smallest(q: FoundFit) -> float:
+def _smallest(q: MadeFit) -> float:
     return float(q.result.fit_percent.min()) if q.result.fit_percent.size else float("nan")
 
 
-def _place(gathered: Gathered, q: FoundFit) -> str:
-    return point_words(gathered.experiment, q.result.recordings[0]) if q.point else "several"
+def _place(results: Results, q: MadeFit) -> str:
+    return point_words(results.experiment, q.result.recordings[0]) if q.point else "several"
 
 
-def _overview(gathered: Gathered, name: str, there: Sequence[FoundFit]) -> list[Block]:
+def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Block]:
     outputs = there[0].result.model.output_names
     focus = there[0].result.options.focus
     own = "one step ahead" if focus == "prediction" else focus
-    by_point: dict[str, list[FoundFit]] = {}
+    by_point: dict[str, list[MadeFit]] = {}
     for q in there:
-        by_point.setdefault(_place(gathered, q), []).append(q)
+        by_point.setdefault(_place(results, q), []).append(q)
     rows: list[list[Cell]] = []
     for point, fits in by_point.items():
         worst = min(fits, key=_smallest)
@@ -86,7 +104,7 @@ def _overview(gathered: Gathered, name: str, there: Sequence[FoundFit]) -> list[
         ordered = sorted(there, key=_smallest)
         for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):
             items = [
-                Link(f"{q.model}: {_smallest(q):.2f} % at {_place(gathered, q)}", fit_href(name, q.model))
+                Link(f"{q.model}: {_smallest(q):.2f} % at {_place(results, q)}", fit_href(name, q.model))
                 for q in chosen
             ]
             blocks.append(Fold(f"{name}: the {word} {_NAMED}", [Listed(items)]))
@@ -97,9 +115,9 @@ def _overview(gathered: Gathered, name: str, there: Sequence[FoundFit]) -> list[
     return blocks
 
 
-def _notes(fits: Sequence[FoundFit]) -> list[Block]:
+def _notes(fits: Sequence[MadeFit]) -> list[Block]:
     """List the notes of the fits, each once, with the number of fits that carry it."""
-    carried: dict[str, list[FoundFit]] = {}
+    carried: dict[str, list[MadeFit]] = {}
     for q in fits:
         for note in q.result.notes:
             carried.setdefault(f"{q.fit}: {note}", []).append(q)
@@ -112,9 +130,9 @@ def _notes(fits: Sequence[FoundFit]) -> list[Block]:
     return [Fold(f"Notes of the fits ({len(items)})", [Listed(items)])]
 
 
-def _document(gathered: Gathered, q: FoundFit) -> dict[str, Any]:
+def _document(results: Results, q: MadeFit) -> dict[str, Any]:
     document, names = q.document, ", ".join(q.result.recordings)
-    place = _place(gathered, q)
+    place = _place(results, q)
     state = "bad" if not q.result.success else "warn" if q.result.notes else "good"
     return {
         "title": f"{q.fit}, {q.model}: {place}" + (f" ({names})" if names != q.model else ""),
@@ -134,12 +152,23 @@ def _document(gathered: Gathered, q: FoundFit) -> dict[str, Any]:
             [f"{row['output']} from {row['input']}", *_pair(row["gain"], row["std"])] for row in document["static_gain"]
         ],
         "facts": [list(line) for line in summary_lines(document)],
-        "traces": list(q.traces),
-        "no_trace": q.no_trace,
     }
 
 
-def _status(q: FoundFit) -> str:
+def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
+    """Measured and simulated curves on the fit's own recordings, or why there are none."""
+    shown, traces, reason = results.experiment.spec.figures.get(q.fit), [], ""
+    for recording in recordings_of(results.experiment, q.fit, q.model):
+        try:
+            validation = validate_pair(results.job, q.fit, q.model, recording)
+        except (DataError, OSError) as error:
+            reason = str(error)
+        else:
+            traces.append(trace(validation, shown.from_s if shown else None))
+    return {"traces": traces, "no_trace": reason}
+
+
+def _status(q: MadeFit) -> str:
     if not q.result.success:
         return q.result.status[:1].upper() + q.result.status[1:]
     return "Converged, with notes below." if q.result.notes else "Converged."

@@ -1,39 +1,35 @@
-"""Section on the impacts: what the impacts of a hammer say of the modes, beside the model and the paper."""
+"""PageSection on the impacts: what the impacts of a hammer say of the modes, beside the model and the paper."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-from gbid.control.impact.impact_store import load_impacts
-from gbid.control.impact.study import ImpactStudy
 from gbid.errors import UsageError
-from gbid.experiment.run.perform import standing
-from gbid.experiment.stages.impact.stage import loops_without_controller, study_tasks
 from gbid.operating_point import point_label
-from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Section, Shown, Table, Words
+from gbid.report.html.page import Block, PageSection, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
+from gbid.report.reader import Results
 from gbid.report.tables.impact_tables import IMPACT_FIGURES, impact_document
 
 TITLE = "Impacts"
 _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
 
 
-def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
+def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Show the impact studies; None when the experiment asks for none."""
-    section = gathered.experiment.spec.impacts
+    section = results.experiment.spec.impacts
     if section is None:
         return None
-    studies, blocks = _studies(gathered)
-    came = gathered.rig.reference_modes if gathered.rig is not None else ()
+    blocks: list[Block] = [Words(why, "warn") for why in results.studies.missing.values()]
+    came = results.rig.reference_modes if results.rig is not None else ()
     published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
     modes: list[list[str]] = []
     responses: list[list[str]] = []
     impacts: list[list[str]] = []
-    for name, study in studies.items():
-        document = impact_document(name, study, gathered.experiment.results, published)
+    for name, study in results.studies.found.items():
+        document = impact_document(name, study, results.experiment.results, published)
         where = f"{point_label(document['pressure_bar'], document['speed_rpm'])}, {document['loop']} loop"
         paper = document["published"].get("measured")
         modes += [_mode(where, row, None if paper is None else paper[row["mode"] - 1]) for row in document["modes"]]
@@ -59,19 +55,15 @@ def impacts_section(gathered: Gathered, pictures: Pictures) -> Section | None:
         columns = ("recording", "where", "disc up to [µm]", "over after [ms]", "piezo up to [µm]")
         caption = "After an impact: mean ± standard deviation, simulated in brackets; over: 95 % of the energy"
         blocks.append(Table(caption, columns, impacts, left=("where",)))
-    return Section("impacts", TITLE, [*_pictured(pictures, studies, section.controller), *blocks])
+    return PageSection("impacts", TITLE, [*_pictured(pictures, results), *blocks])
 
 
-def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller: str) -> list[Block]:
+def _pictured(pictures: Pictures, results: Results) -> list[Block]:
     """Draw the responses of all loops to the same impact, operating point by operating point."""
-    points: dict[str, dict[str, ImpactStudy]] = {}
-    for study in studies.values():
-        closed = "published gains" if controller == "paper" else "closed loop"
-        label = {"open": "open loop", "closed": closed}.get(study.loop, study.loop)
-        where = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
-        points.setdefault(where, {})[label] = study
     blocks: list[Block] = []
-    for where, loops in points.items():
+    for loops in map(results.labelled, results.loops):
+        conditions = next(iter(loops.values())).conditions
+        where = point_label(conditions["pressure_bar"], conditions["speed_rpm"])
         alt = (
             f"Disc on the rig at {where} after the same impact along x and along y: {', '.join(loops)}; lines are "
             "means over the impacts, bands a standard deviation"
@@ -81,25 +73,6 @@ def _pictured(pictures: Pictures, studies: Mapping[str, ImpactStudy], controller
         except UsageError as error:
             blocks.append(Words(f"{where}: {error}", "warn"))
     return blocks
-
-
-def _studies(gathered: Gathered) -> tuple[dict[str, ImpactStudy], list[Block]]:
-    """Load the studies that are there, and say of the others why they are not."""
-    studies: dict[str, ImpactStudy] = {}
-    blocks: list[Block] = []
-    try:
-        for loop, why in loops_without_controller(gathered.experiment).items():
-            blocks.append(Words(f"{loop} loop: {why}", "warn"))
-        for task in study_tasks(gathered.job):
-            outcome = standing(gathered.job, task)
-            if outcome is not None and outcome.state != "failed":
-                studies[task.item] = load_impacts(task.path)
-            else:
-                text = "not made yet; `gbid impact` makes it" if outcome is None else outcome.text
-                blocks.append(Words(f"{task.item}: {text}", "warn"))
-    except UsageError as error:
-        blocks.append(Words(str(error), "warn"))
-    return studies, blocks
 
 
 def _figure(row: Mapping[str, Any], name: str, unit: str, factor: float) -> str:

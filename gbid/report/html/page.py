@@ -76,7 +76,7 @@ class Fold:
 
 
 @dataclass(frozen=True)
-class Part:
+class Templated:
     """A template of its own, with what it needs."""
 
     template: str
@@ -84,11 +84,11 @@ class Part:
     kind: ClassVar[str] = "part"
 
 
-Block = Words | Listed | Table | Shown | Gallery | Fold | Part
+Block = Words | Listed | Table | Shown | Gallery | Fold | Templated
 
 
 @dataclass(frozen=True)
-class Section:
+class PageSection:
     """A section of the page."""
 
     id: str

@@ -1,9 +1,9 @@
-"""Section on the data: excitation, what is wrong with them, what the prefilter took out."""
+"""PageSection on the data: excitation, what is wrong with them, what the prefilter took out."""
 
 from __future__ import annotations
 
-from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Fold, Listed, Section, Table, Words, in_units, point_words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Table, Words, in_units, point_words
+from gbid.report.reader import Results
 
 ALIKE = 0.5
 """Correlation of the two excitations above which their effects are hard to tell apart."""
@@ -12,13 +12,13 @@ WORSE = 1e-3
 _NANO = 1e9
 
 
-def quality_section(gathered: Gathered) -> Section:
+def quality_section(results: Results) -> PageSection:
     """Describe the recordings, their problems, and what the prefilter took out of them."""
     blocks: list[Block] = []
-    recordings = gathered.recordings
+    recordings = results.recordings
     if not recordings:
         blocks.append(Words("No excited recording is there yet."))
-        return Section("data", "Data quality", blocks)
+        return PageSection("data", "Data quality", blocks)
     problems = [text for q in recordings for text in q.problems]
     if problems:
         blocks += [Words(f"{len(problems)} problems found in {len(recordings)} recordings:", "bad"), Listed(problems)]
@@ -34,12 +34,12 @@ def quality_section(gathered: Gathered) -> Section:
             ", ".join(f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals[signal])
             if signal in q.signals
             else "–"
-            for signal in _signals(gathered)
+            for signal in _signals(results)
         ]
         alike_text = "–" if q.alike is None else f"{q.alike:+.3f}"
         length = f"{q.duration:g} s, {q.n_samples}"
-        rows.append((q.name, point_words(gathered.experiment, q.name), length, *spread, alike_text))
-    headings = [f"{name}, rms" for name in _signals(gathered)]
+        rows.append((q.name, point_words(results.experiment, q.name), length, *spread, alike_text))
+    headings = [f"{name}, rms" for name in _signals(results)]
     table = Table(
         "Excited recordings: rms about the mean of each channel, correlation of the two excitations",
         ("recording", "operating point", "length, samples", *headings, "correlation x, y"),
@@ -47,19 +47,19 @@ def quality_section(gathered: Gathered) -> Section:
         left=("operating point", "length, samples", *headings),
     )
     blocks.append(Fold(f"Excitation of {len(rows)} recordings", [table]) if len(rows) > 12 else table)
-    blocks += _prefilter(gathered)
-    return Section("data", "Data quality", blocks)
+    blocks += _prefilter(results)
+    return PageSection("data", "Data quality", blocks)
 
 
-def _signals(gathered: Gathered) -> list[str]:
-    return list(dict.fromkeys(signal for q in gathered.recordings for signal in q.signals))
+def _signals(results: Results) -> list[str]:
+    return list(dict.fromkeys(signal for q in results.recordings for signal in q.signals))
 
 
-def _prefilter(gathered: Gathered) -> list[Block]:
-    section = gathered.experiment.spec.prefilter
+def _prefilter(results: Results) -> list[Block]:
+    section = results.experiment.spec.prefilter
     if section is None:
         return [Words("No prefilter: the recordings were fitted as they are.")]
-    rows = gathered.prefiltered
+    rows = results.prefiltered
     if not rows:
         return [Words("The prefilter has not run yet.", "warn")]
     worse = [row for row in rows if row["runout_share"] < -WORSE]

@@ -11,19 +11,19 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from gbid._version import __version__
-from gbid.report.html.page import Section
+from gbid.report.html.page import PageSection
 
 SCRIPTS = ("charts.js", "explorer_math.js", "explorer.js", "fits.js", "page.js")
 
 
-def render(title: str, name: str, sections: Sequence[Section], left_out: Sequence[str], key: str) -> str:
+def render(title: str, name: str, sections: Sequence[PageSection], left_out: Sequence[str], key: str) -> str:
     """Write the page.
 
     Parameters
     ----------
     title, name : str
         Of the experiment.
-    sections : sequence of Section
+    sections : sequence of PageSection
     left_out : sequence of str
         What this experiment does not do.
     key : str

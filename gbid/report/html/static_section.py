@@ -1,16 +1,15 @@
-"""Section on the static characterisation: the map from piezos to disc, and the hysteresis of the stacks."""
+"""PageSection on the static characterisation: the map from piezos to disc, and the hysteresis of the stacks."""
 
 from __future__ import annotations
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.errors import DataError, UsageError
 from gbid.operating_point import point_label
-from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.of_results import piezo_data, static_map_data
-from gbid.report.paper.results import Results
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
+from gbid.report.reader import Results
 from gbid.report.static_map import plot_static_map
 from gbid.report.tables.static_tables import static_document
 from gbid.tables.numbers import engineering
@@ -18,12 +17,11 @@ from gbid.tables.numbers import engineering
 _MICROMETRES = 1e6
 
 
-def static_section(gathered: Gathered, pictures: Pictures) -> Section | None:
+def static_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Show the first static map and all piezos; None when the experiment asks for none."""
-    kinds = [section.kind for section in gathered.experiment.spec.static.values()]
+    kinds = [section.kind for section in results.experiment.spec.static.values()]
     if not kinds:
         return None
-    results = Results(gathered.job)
     blocks: list[Block] = []
     for kind, show in (("bearing", _map), ("piezo", _piezos)):
         if kind in kinds:
@@ -31,7 +29,7 @@ def static_section(gathered: Gathered, pictures: Pictures) -> Section | None:
                 blocks += show(results, pictures)
             except (DataError, UsageError) as error:
                 blocks.append(Words(str(error), "warn"))
-    return Section("static", "Static characterisation", blocks)
+    return PageSection("static", "Static characterisation", blocks)
 
 
 def _map(results: Results, pictures: Pictures) -> list[Block]:

@@ -1,4 +1,4 @@
-"""Section on the surfaces over pressure and speed, with the estimates on them."""
+"""PageSection on the surfaces over pressure and speed, with the estimates on them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ import numpy as np
 from gbid.errors import GbidError
 from gbid.lpv import LPVFit
 from gbid.lpv.basis import TERMS
-from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Fold, Listed, Section, Shown, Table, Words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.over_pressure import modes_data, plot_over_pressure
+from gbid.report.reader import Results
 from gbid.report.surfaces import plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS
 from gbid.tables.numbers import engineering, shown_unit
@@ -31,18 +31,18 @@ LACK = 0.01
 """Probability below which surfaces count as missing the points' means."""
 
 
-def surfaces_section(gathered: Gathered, pictures: Pictures) -> Section:
+def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
     """Show each fit of surfaces."""
     title = "Surfaces over pressure and speed"
-    if gathered.experiment.spec.lpv is None:
-        return Section("surfaces", title, [Words("This experiment draws no surfaces (it has no section lpv).")])
-    if not gathered.surfaces:
+    if results.experiment.spec.lpv is None:
+        return PageSection("surfaces", title, [Words("This experiment draws no surfaces (it has no section lpv).")])
+    if not results.surfaces:
         text = "Not drawn with the present fits; `gbid lpv` does it, or says why it cannot."
-        return Section("surfaces", title, [Words(text, "warn")])
+        return PageSection("surfaces", title, [Words(text, "warn")])
     blocks: list[Block] = []
-    for item, fit in gathered.surfaces.items():
-        blocks += _drawn(item, fit, pictures, gathered.published)
-    return Section("surfaces", title, blocks)
+    for item, fit in results.surfaces.items():
+        blocks += _drawn(item, fit, pictures, results.published)
+    return PageSection("surfaces", title, blocks)
 
 
 def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[Block]:

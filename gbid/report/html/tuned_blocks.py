@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import GbidError
-from gbid.report.designs import designs_pareto_data
-from gbid.report.html.gather import Gathered
 from gbid.report.html.page import Block, Listed, Shown, Table, Words
 from gbid.report.html.pictures import Pictures
-from gbid.report.tuning import plot_pareto
+from gbid.report.reader import Results
+from gbid.report.tuning import designs_pareto_data, plot_pareto
 
 
 def held_back(design: TunedDesign) -> list[str]:
@@ -26,10 +25,10 @@ def held_back(design: TunedDesign) -> list[str]:
     return found
 
 
-def tuned_blocks(gathered: Gathered, pictures: Pictures) -> list[Block]:
+def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
     """Show what the tuning says of each design, and all designs between robustness and damping."""
-    tuned, missing = gathered.tuned
-    blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in missing.items()]
+    tuned = results.designs.found
+    blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:
         return blocks
     rows = []

@@ -6,13 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from gbid.errors import GbidError
 from gbid.experiment.stages.crossval.rows import CrossvalRow
 from gbid.operating_point import point_label
-from gbid.report.across import ActuatorParameters, histogram_data, plot_actuator_parameters, plot_fit_histogram
-from gbid.report.html.gather import Gathered
-from gbid.report.html.page import Block, Cell, Fold, Link, Listed, Section, Shown, Table, Words, fit_href, in_units
+from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
+from gbid.report.html.page import Block, Cell, Fold, Link, Listed, PageSection, Shown, Table, Words, fit_href, in_units
 from gbid.report.html.pictures import Pictures
-from gbid.validate import NominalActuator, ValidationSummary
+from gbid.report.of_results import crossval_data, nominal_data
+from gbid.report.reader import Results
+from gbid.validate import ValidationSummary
 
 PAPER = {
     "rotor_bearing": {"p_x": "81.1 ± 2.7", "p_y": "85.1 ± 3.4"},
@@ -23,25 +25,25 @@ _HISTOGRAM = 6  # pairs from which a histogram says more than a table
 _LISTED = 40
 
 
-def validation_section(gathered: Gathered, pictures: Pictures) -> Section:
+def validation_section(results: Results, pictures: Pictures) -> PageSection:
     """Show how models explain recordings that they were not fitted to."""
-    asked = gathered.experiment.spec.crossval
+    asked = results.experiment.spec.crossval
     if not asked:
-        return Section("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
+        return PageSection("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
     blocks: list[Block] = []
     for name in asked:
-        if name not in gathered.crossval:
+        if name not in results.crossval:
             blocks.append(Words(f"{name}: not validated with the present fits; `gbid crossval` does it.", "warn"))
             continue
-        rows, summary = gathered.crossval[name]
-        blocks += _validated(gathered, pictures, name, rows, summary)
-    return Section("validation", "Cross-validation", blocks)
+        rows, summary = results.crossval[name]
+        blocks += _validated(results, pictures, name, rows, summary)
+    return PageSection("validation", "Cross-validation", blocks)
 
 
 def _validated(
-    gathered: Gathered, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
+    results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
 ) -> list[Block]:
-    paper = PAPER.get(gathered.experiment.spec.fits[name].structure, {}) if gathered.published else {}
+    paper = PAPER.get(results.experiment.spec.fits[name].structure, {}) if results.published else {}
     table: list[list[Cell]] = []
     for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
         poor = next(pair for pair in summary.worst if pair.output == output)
@@ -74,10 +76,9 @@ def _validated(
         )
         blocks.append(Words(words))
     if summary.n_pairs >= _HISTOGRAM:
-        values = {output: [row.fit_percent for row in rows if row.output == output] for output in summary.output_names}
         told = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
         picture = pictures.picture(
-            plot_fit_histogram(histogram_data(values)), f"{name}: histograms of the cross-validation fit, means {told}"
+            plot_fit_histogram(crossval_data(summary)), f"{name}: histograms of the cross-validation fit, means {told}"
         )
         blocks.append(Shown(picture))
     missed = [row for row in rows if row.missed]
@@ -123,22 +124,17 @@ def _validated(
     return blocks
 
 
-def nominal_section(gathered: Gathered, pictures: Pictures) -> Section | None:
+def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
     """Show the nominal actuator; None when nobody asked for one."""
-    nominal = gathered.nominal
-    if nominal is None:
+    section = results.experiment.spec.nominal
+    if section is None:
         return None
-    title = "Nominal actuator"
-    if not isinstance(nominal, NominalActuator):
-        return Section("actuator", title, [Words(f"There is none: {nominal}", "warn")])
-    fit = gathered.experiment.spec.nominal.fit if gathered.experiment.spec.nominal else ""
+    title, fit = "Nominal actuator", section.fit
+    try:
+        nominal = results.nominal
+    except GbidError as error:
+        return PageSection("actuator", title, [Words(f"There is none: {error}", "warn")])
     names = nominal.parameter_names
-    z = np.abs(nominal.z) > nominal.limit
-    data = ActuatorParameters(
-        {name: nominal.values[:, i] for i, name in enumerate(names)},
-        {name: z[:, i] for i, name in enumerate(names)},
-        nominal.models.index(nominal.name),
-    )
     alt = (
         f"Gains and poles of {len(nominal.models)} actuator models; the nominal one is {nominal.name}, "
         f"{len(nominal.outliers)} values lie off"
@@ -157,10 +153,14 @@ def nominal_section(gathered: Gathered, pictures: Pictures) -> Section | None:
         ],
     )
     chosen = Link(f"{nominal.name}, the most central of {len(nominal.models)} models", fit_href(fit, nominal.name))
-    blocks: list[Block] = [Listed([chosen]), table, Shown(pictures.picture(plot_actuator_parameters(data), alt))]
+    blocks: list[Block] = [
+        Listed([chosen]),
+        table,
+        Shown(pictures.picture(plot_actuator_parameters(nominal_data(nominal)), alt)),
+    ]
     if nominal.outliers:
         listed = [Link(f"{o.model}: {o.reason}", fit_href(fit, o.model)) for o in nominal.outliers]
         blocks += [Words(f"{len(listed)} values lie off those of the others:", "warn"), Listed(listed)]
     if nominal.left_out:
         blocks += [Words("Left out:"), Listed(nominal.left_out)]
-    return Section("actuator", title, blocks)
+    return PageSection("actuator", title, blocks)

@@ -9,11 +9,12 @@ from typing import Literal
 from matplotlib.figure import Figure
 
 from gbid.control import sensitivity_data
+from gbid.errors import DataError
 from gbid.experiment.stages.crossval.pairing import validate_pair
-from gbid.experiment.stages.fit.plan import recordings_of
+from gbid.experiment.stages.fit.plan import fit_models, recordings_of
+from gbid.experiment.stages.fit.stage import fit_path
 from gbid.operating_point import point_label
 from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
-from gbid.report.designs import designs_pareto_data
 from gbid.report.diagrams import (
     plot_closed_loop,
     plot_differential_pairing,
@@ -35,11 +36,12 @@ from gbid.report.of_results import (
     static_map_data,
 )
 from gbid.report.over_pressure import plot_over_pressure
-from gbid.report.paper.results import Results
+from gbid.report.paper.published import published_controller, published_gains, shown_point
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
+from gbid.report.reader import Results
 from gbid.report.static_map import plot_static_map
 from gbid.report.surfaces import plot_surfaces
-from gbid.report.tuning import plot_pareto
+from gbid.report.tuning import designs_pareto_data, plot_pareto
 
 Draw = Callable[[Results], Figure]
 _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
@@ -53,10 +55,19 @@ def _static_map(results: Results) -> Figure:
 
 
 def _identification(results: Results) -> Figure:
-    fit, model = results.shown_fit()
+    fit, model = _shown_fit(results)
     validation = validate_pair(results.job, fit, model, recordings_of(results.experiment, fit, model)[0])
     from_s, to_s = _ZOOM if validation.time[-1] >= _ZOOM[1] else (None, None)
     return response_figure(validation, from_s=from_s, to_s=to_s)
+
+
+def _shown_fit(results: Results) -> tuple[str, str]:
+    """Fit of the bearing and model that Fig. 7 shows: of the paper's operating point, or the first."""
+    name = results.fit_with("rotor_bearing")
+    there = [model for model in fit_models(results.experiment, name) if fit_path(results.job, name, model).is_file()]
+    if not there:
+        raise DataError(f"no model of fit {name!r} is there; run `gbid fit` or `gbid run`")
+    return name, next((m for m in there if m.startswith("p5_n6000_")), there[0])
 
 
 def _actuators(results: Results) -> Figure:
@@ -68,22 +79,22 @@ def _histogram(structure: str, results: Results) -> Figure:
 
 
 def _surfaces(letter: Literal["k", "d", "b"], results: Results) -> Figure:
-    return plot_surfaces(fit_surfaces_data(results.surfaces, letter))
+    return plot_surfaces(fit_surfaces_data(results.surface_fit, letter))
 
 
 def _over_pressure(
     what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str | None = None
 ) -> Figure:
     rig = results.experiment.spec.rig
-    panels = fit_over_pressure_data(results.surfaces, what, sample_time=rig.sample_time_s if rig else 2e-4)
+    panels = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
     return plot_over_pressure([panel for panel in panels if only in (None, panel.name)])
 
 
 def _loop(what: Literal["sensitivity", "bode"], results: Results) -> Figure:
-    plant = results.identified.plant_at(*results.point)
-    d = results.design
+    point = shown_point(results.identified)
+    plant, d = results.identified.plant_at(*point), published_gains(results.machine)
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
-    data, title = sensitivity_data(plant, results.controller), f"{point_label(*results.point)}; {gains}"
+    data, title = sensitivity_data(plant, published_controller(results.machine)), f"{point_label(*point)}; {gains}"
     return plot_magnitudes((sensitivity_curves if what == "sensitivity" else bode_curves)(data, title))
 
 
@@ -97,11 +108,11 @@ def _impact_validation(axis: Literal["x", "y"], results: Results) -> Figure:
 
 
 def _loops(rotating: bool, results: Results) -> Figure:
-    return plot_impact_loops(impact_loops_data(results.loops_at(rotating)))
+    return plot_impact_loops(impact_loops_data(results.beside_at(rotating)))
 
 
 def _pareto(results: Results) -> Figure:
-    return plot_pareto(designs_pareto_data(results.designs))
+    return plot_pareto(designs_pareto_data(results.tuned))
 
 
 def _piezo(plot: Callable[..., Figure], results: Results) -> Figure:

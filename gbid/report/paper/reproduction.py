@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from math import isfinite, nan
 from typing import Any, Literal
 
 import numpy as np
 
-from gbid.control import close_loop
+from gbid.control import GainResult, close_loop
 from gbid.errors import DataError, GbidError
 from gbid.lpv import CHARACTERISTICS, characteristics
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
-from gbid.report.paper.results import POINT, Results
+from gbid.report.paper.published import POINT, published_controller, retuned
+from gbid.report.reader import Results
 from gbid.structure import KEY_PARAMETERS
 
 Verdict = Literal["within", "explained", "off", "missing"]
@@ -144,9 +145,10 @@ def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
                 yield f"model_{loop}_{what}_{i}", partial(_published_mode, loop, i - 1, j)
     for i in (1, 2):
         yield f"model_damping_factor_{i}", partial(_published_factor, i - 1)
-    yield "tuned_damping", lambda results: (results.retuned.value, nan)
+    tuned = lru_cache(maxsize=1)(_retuned)  # one search for all three rows
+    yield "tuned_damping", lambda results: (tuned(results).value, nan)
     for axis in "xy":
-        yield f"tuned_kappa_{axis}", partial(_retuned_gain, f"kappa_{axis}")
+        yield f"tuned_kappa_{axis}", partial(_retuned_gain, tuned, f"kappa_{axis}")
     yield "hysteresis", _hysteresis
 
 
@@ -160,7 +162,7 @@ def _static_largest(results: Results) -> Own:
 
 def _models(results: Results) -> Own:
     """Count the recordings whose fit stands behind the surfaces."""
-    return float(len(results.surfaces.estimates.recordings)), nan
+    return float(len(results.surface_fit.estimates.recordings)), nan
 
 
 def _actuator(name: str, results: Results) -> Own:
@@ -173,11 +175,11 @@ def _crossval(structure: str, what: Literal["mean", "std"], j: int, results: Res
 
 
 def _rms(j: int, results: Results) -> Own:
-    return results.surfaces.deviations[j].rms, nan
+    return results.surface_fit.deviations[j].rms, nan
 
 
 def _largest_gain(results: Results) -> Own:
-    return max(d.largest for d in results.surfaces.deviations if d.name.startswith("g_")), nan
+    return max(d.largest for d in results.surface_fit.deviations if d.name.startswith("g_")), nan
 
 
 def _off_published(j: int, results: Results) -> Own:
@@ -186,7 +188,7 @@ def _off_published(j: int, results: Results) -> Own:
     ours, published = (
         characteristics(np.column_stack([np.broadcast_to(p[key], len(points)) for key in KEY_PARAMETERS]))
         for p in (
-            model.key_parameters(points[:, 0], points[:, 1]) for model in (results.surfaces.model, results.machine)
+            model.key_parameters(points[:, 0], points[:, 1]) for model in (results.surface_fit.model, results.machine)
         )
     )
     return float(np.sqrt(np.mean((ours[:, j] - published[:, j]) ** 2))), nan
@@ -210,15 +212,19 @@ def _damping_factor(i: int, results: Results) -> Own:
 def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
     """Frequency or damping factor of a mode of the published model, with the published controller or without."""
     plant = results.machine.plant_at(*POINT)
-    return (close_loop(plant, results.controller) if loop == "closed" else plant).modes()[i][j], nan
+    return (close_loop(plant, published_controller(results.machine)) if loop == "closed" else plant).modes()[i][j], nan
 
 
 def _published_factor(i: int, results: Results) -> Own:
     return _published_mode("closed", i, 1, results)[0] / _published_mode("open", i, 1, results)[0], nan
 
 
-def _retuned_gain(name: str, results: Results) -> Own:
-    return results.retuned.gains[name], nan
+def _retuned(results: Results) -> GainResult:
+    return retuned(results.machine)
+
+
+def _retuned_gain(tuned: Callable[[Results], GainResult], name: str, results: Results) -> Own:
+    return tuned(results).gains[name], nan
 
 
 def _hysteresis(results: Results) -> Own:

@@ -20,9 +20,9 @@ from gbid.experiment.run.perform import produce
 from gbid.report.figures import save_figure
 from gbid.report.paper.figures import FIGURES
 from gbid.report.paper.reproduction import ReproductionRow, counts, reproduction
-from gbid.report.paper.results import Results
 from gbid.report.paper.table import reproduction_markdown
 from gbid.report.paper.tables import TABLES, PaperTable
+from gbid.report.reader import Results
 
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")

@@ -14,8 +14,8 @@ from gbid.control.impact.impact_store import response_rows
 from gbid.errors import DataError
 from gbid.lpv import TERMS
 from gbid.operating_point import point_label
-from gbid.report.designs import design_performances, design_rows
-from gbid.report.paper.results import Results
+from gbid.report.reader import Results
+from gbid.report.reader.designs import conditions_words, design_performances, design_rows
 from gbid.structure import KEY_PARAMETERS
 from gbid.tables.numbers import engineering
 
@@ -102,7 +102,7 @@ def controller_table(results: Results) -> PaperTable:
 
 def coefficient_table(results: Results) -> PaperTable:
     """Put the coefficients of the surfaces (Table B.6) beside those of the machine's model file."""
-    fit = results.surfaces
+    fit = results.surface_fit
     std = np.sqrt(np.diag(fit.covariance)).reshape(len(KEY_PARAMETERS), len(TERMS))
     known = results.machine.coefficients if results.experiment.spec.rig is not None else {}
     rows = [
@@ -116,8 +116,10 @@ def coefficient_table(results: Results) -> PaperTable:
 
 def designs_table(results: Results) -> PaperTable:
     """Put the tuned designs beside the published one, each at its worst operating point."""
-    performances = design_performances(results.designs)
-    title = f"Designs at the worst of {len(performances[0].points)} operating points"
+    performances = design_performances(results.tuned)
+    first = next(iter(results.tuned.values()))
+    words = conditions_words(first.impact, first.sample_time, first.method)
+    title = f"Designs at the worst of {len(performances[0].points)} operating points: {words}"
     rows: list[tuple[Cell, ...]] = [(row[0], *map(float, row[1:])) for row in design_rows(performances)]
     return PaperTable(title, ("figure", *(performance.name for performance in performances)), tuple(rows))
 
@@ -127,7 +129,7 @@ def impacts_table(results: Results) -> PaperTable:
     shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
     heads = [f"{what}{word} [{unit}]" for what, unit, *_ in shown for word in ("", " std", " simulated")]
     rows: list[tuple[Cell, ...]] = []
-    for loops in results.loops:
+    for loops in results.beside:
         for label, study in loops.items():
             where = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
             for row in response_rows(study):

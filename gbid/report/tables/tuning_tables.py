@@ -8,9 +8,11 @@ from typing import Any
 from gbid.control.assessment.compare import COLUMNS
 from gbid.control.assessment.point_assessment import FIGURES
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
+from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tuning.gain_result import GainResult
 from gbid.experiment.run.outcome import Outcome
 from gbid.operating_point import point_label
+from gbid.report.reader.designs import conditions_words
 from gbid.report.tables.fit_document import Row
 from gbid.tables.table import Column, Table, formatted
 
@@ -28,6 +30,7 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
             **_result_row(design.result),
             "points": [list(point) for point in design.result.points],
             "sample_time_s": design.sample_time,
+            "method": design.method,
             "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
             "performance": [_performance_row(performance) for performance in design.performance],
             "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
@@ -48,14 +51,12 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
     for document in documents:
         impact = tuple(document["impact"].values())
         points = tuple(map(tuple, document["points"]))
-        groups.setdefault((document["plant"], points, impact, document["sample_time_s"]), []).append(document)
+        alike = document["plant"], points, impact, document["sample_time_s"], document["method"]
+        groups.setdefault(alike, []).append(document)
     tables = []
-    for (plant, points, (peak, duration), sample_time), group in groups.items():
+    for (plant, points, impact, sample_time, method), group in groups.items():
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
-        note = (
-            f"disc and stack under a half-sine impact of {peak:g} N, {1e3 * duration:g} ms; "
-            f"sampled at {1e3 * sample_time:g} ms with one sample for computation"
-        )
+        note = conditions_words(HalfSine(*impact), sample_time, method)
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
         columns = [Column(""), *(Column(performance["name"], format=4) for performance in shown)]
         rows = [

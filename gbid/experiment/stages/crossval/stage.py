@@ -27,7 +27,7 @@ from gbid.experiment.stages.prefilter.stage import load_fit_input
 from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.tables.csv import write_csv
-from gbid.validate import ValidationSummary, save_validation_summary, summarise
+from gbid.validate import ValidationSummary, load_validation_summary, save_validation_summary, summarise
 from gbid.validate.many import Simulator, score, simulator, validation_data
 from gbid.validate.store import summary_csv_table
 
@@ -69,6 +69,20 @@ def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
     return rows if stored_key(path) == run.key([pair for pair in pairs if pair in there]) else []
 
 
+def read_summary(job: Job, name: str) -> ValidationSummary | None:
+    """Read the summary of a fit's cross-validation; None unless it is there, made from the rows that are there."""
+    path = job.path(FOLDER, f"{name}{SUMMARY}")
+    if not path.is_file():
+        return None
+    summary = load_validation_summary(path)
+    key = _summary_key(summary.failed, stored_key(job.path(FOLDER, name, ".csv")))
+    return summary if stored_key(path) == key else None
+
+
+def _summary_key(failed: Sequence[str], rows_key: str) -> str:
+    return content_key("summary", {"failed": list(failed)}, [rows_key])
+
+
 def _crossval(job: Job, name: str) -> tuple[list[Outcome], list[CrossvalRow]]:
     """Validate one fit, or read what is there already."""
     run = _Run(job, name)
@@ -99,10 +113,7 @@ def _crossval(job: Job, name: str) -> tuple[list[Outcome], list[CrossvalRow]]:
             )
         )
         texts = [f"{model} on {recording}: {text}" for (model, recording), text in failed.items()]
-        summary, own = (
-            summarise(scores_of_rows(job, rows), failed=texts),
-            content_key("summary", {"failed": texts}, [key]),
-        )
+        summary, own = summarise(scores_of_rows(job, rows), failed=texts), _summary_key(texts, key)
         for ending, write in ((".h5", _write_summary), (".csv", partial(_write_summary_csv, own))):
             place = job.path(FOLDER, f"{name}{SUMMARY}", ending)
             outcomes.append(produce(job, "crossval", f"{name}{SUMMARY}{ending}", place, own, partial(write, summary)))

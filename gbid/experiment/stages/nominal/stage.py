@@ -30,18 +30,9 @@ def choose_nominal(job: Job) -> tuple[list[Outcome], NominalActuator | None]:
     section = job.experiment.spec.nominal
     if section is None:
         return [], None
-    entries, keys = [], []
-    for model, recordings in fit_models(job.experiment, section.fit).items():
-        conditions = job.experiment.recordings[recordings[0]].conditions
-        try:
-            result, failure = load_made_fit(job, section.fit, model), ""
-            keys.append(model_key(job.experiment, section.fit, model))
-        except (DataError, OSError) as error:
-            result, failure = None, str(error)
-        entries.append(TableEntry(section.fit, model, tuple(recordings), conditions, result, failure))
     path = job.path(FOLDER, section.fit, ".yaml")
     try:
-        nominal = nominal_actuator(tabulate(entries))
+        nominal, keys = nominal_of(job)
     except DataError as error:
         outcome = Outcome("nominal", section.fit, path, "failed", str(error), cause="data")
         job.reporter.end(outcome)
@@ -54,3 +45,26 @@ def choose_nominal(job: Job) -> tuple[list[Outcome], NominalActuator | None]:
         return f"{nominal.name}; {len(nominal.outliers)} outliers"
 
     return [produce(job, "nominal", section.fit, path, key, write)], nominal
+
+
+def nominal_of(job: Job) -> tuple[NominalActuator, list[str]]:
+    """Return the most central model of the fit that the nominal section names, and the keys of the fits behind it.
+
+    Raises
+    ------
+    DataError
+        Without that section, or when there is none.
+    """
+    section = job.experiment.spec.nominal
+    if section is None:
+        raise DataError("no section 'nominal'; add one")
+    entries, keys = [], []
+    for model, recordings in fit_models(job.experiment, section.fit).items():
+        conditions = job.experiment.recordings[recordings[0]].conditions
+        try:
+            result, failure = load_made_fit(job, section.fit, model), ""
+            keys.append(model_key(job.experiment, section.fit, model))
+        except (DataError, OSError) as error:
+            result, failure = None, str(error)
+        entries.append(TableEntry(section.fit, model, tuple(recordings), conditions, result, failure))
+    return nominal_actuator(tabulate(entries)), keys

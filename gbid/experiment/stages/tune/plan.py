@@ -144,6 +144,17 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
     return options
 
 
+def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
+    """Return the conditions under which designs are assessed, as arguments of `gbid.control.assess`; not the points."""
+    travel = None if section.impact is None else section.impact.piezo_travel_m
+    return {
+        "sample_time": sample_time(experiment, section),
+        "method": section.method,
+        "impact": impact(section),
+        "piezo_travel_m": travel,
+    }
+
+
 def sample_time(experiment: Experiment, section: ControllerSection) -> float:
     """Return the time at which the controller is sampled [s]."""
     rig = experiment.spec.rig
@@ -155,3 +166,8 @@ def published_design(experiment: Experiment, model: LPVModel) -> ProportionalDes
     if model.controller is not None or experiment.spec.rig is None:
         return model.controller
     return rig_model(experiment).controller
+
+
+def published_structure(came: ProportionalDesign) -> Structure:
+    """Return the structure of a controller that came with a model."""
+    return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)

@@ -13,13 +13,13 @@ from gbid.control import (
     SearchStep,
     Uncertainty,
     assess,
-    controller_structure,
     pareto,
     save_controller,
     tune,
 )
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import GbidError
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.inputs import InputError
 from gbid.experiment.run.job import Job, Task
@@ -29,11 +29,13 @@ from gbid.experiment.stages.impact.plan import TUNED
 from gbid.experiment.stages.lpv.stage import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv.stage import read_surfaces
 from gbid.experiment.stages.tune.plan import (
+    assess_options,
     controller_section,
     design_structure,
     impact,
     named_model,
     published_design,
+    published_structure,
     sample_time,
     structure_text,
     surfaces_item,
@@ -41,7 +43,7 @@ from gbid.experiment.stages.tune.plan import (
     with_actuators,
 )
 from gbid.experiment.stages.tune.schema import ControllerSection
-from gbid.lpv import LPVModel, load_lpv_fit
+from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit
 
 PUBLISHED = "published"
 """Name of the controller that came with the machine, beside the designs."""
@@ -135,10 +137,10 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
         "sampled_at": sample_time(experiment, section),
         "published": repr(published),
     }
-    return content_key("tune", settings, [source])
+    return content_key("tuned design", settings, [source])
 
 
-def _plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
+def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
     """Load the model of a design, and the plants that it may be where the section asks for them."""
     item = surfaces_item(job.experiment, section)
     if item is None:
@@ -151,7 +153,7 @@ def _plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty 
 
 def _tune(job: Job, name: str, part: Path) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
-    model, plants = _plant(job, section)
+    model, plants = design_plant(job, section)
     structure = design_structure(experiment, section, model.domain)
 
     def progress(step: SearchStep) -> None:
@@ -175,6 +177,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         () if front is None else tuple(zip(front.caps, front.designs, strict=True)),
         impact(section),
         sample_time(experiment, section),
+        section.method,
     )
     save_tuned(design, part, overwrite=True)
     return _made(design)
@@ -184,19 +187,27 @@ def _performance(
     job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
 ) -> tuple[DesignFigures, ...]:
     """Assess the design, and the published one beside it."""
-    options: dict[str, Any] = {
-        "points": result.points,
-        "sample_time": sample_time(job.experiment, section),
-        "method": section.method,
-        "impact": impact(section),
-    }
-    own = assess(model, structure, result.gains, **options, name=name)
+    options = assess_options(job.experiment, section)
+    own = DesignFigures.of(assess(model, structure, result.gains, result.points, name=name, **options))
     came = published_design(job.experiment, model)
-    if came is None:
-        return (DesignFigures.of(own),)
-    form = controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+    return (own,) if came is None else (own, _assess_published(model, came, result.points, options))
+
+
+def _assess_published(
+    model: LPVModel, came: ProportionalDesign, points: Sequence[tuple[float, float]], options: dict[str, Any]
+) -> DesignFigures:
     gains = {"kappa_x": came.kappa_x, "kappa_y": came.kappa_y}
-    return DesignFigures.of(own), DesignFigures.of(assess(model, form, gains, **options, name=PUBLISHED))
+    return DesignFigures.of(assess(model, published_structure(came), gains, points, name=PUBLISHED, **options))
+
+
+def assess_published(experiment: Experiment, model: LPVModel) -> DesignFigures | None:
+    """Assess the controller that came with a model, where the experiment tunes none; None when none came.
+
+    Figures are those of an empty section ``controller``: at the model's operating points, sampled as the rig is.
+    """
+    came = published_design(experiment, model)
+    options = assess_options(experiment, ControllerSection())
+    return None if came is None else _assess_published(model, came, model.operating_points, options)
 
 
 def _made(design: TunedDesign) -> Made:
@@ -218,7 +229,7 @@ def _read_made(path: Path) -> Made:
 def _write_controller(job: Job, name: str, part: Path) -> None:
     section = controller_section(job.experiment, name)
     design = load_tuned(job.path(TUNED, name))
-    model, _ = _plant(job, section)
+    model, _ = design_plant(job, section)
     structure = design_structure(job.experiment, section, model.domain)
     result = design.result
     provenance: dict[str, str | float] = {

@@ -1,0 +1,125 @@
+"""The figures of a design are the same wherever they are shown: those that the tuning stored, under its conditions."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+from html import unescape
+
+import pytest
+from experiment_files import gbid as command
+from experiment_files import write_quick
+from typer.testing import CliRunner
+
+from gbid.cli.main import app
+from gbid.control.assessment.compare import COLUMNS
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.report.reader import Results
+
+CONDITIONS = {"sample_time_s": 1e-3, "method": "zoh"}
+YAML = """\
+format: 1
+name: slow
+rig:
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  prbs: {recordings: 0}
+  stationary: {recordings: 0}
+controller:
+  slow:
+    sample_time_s: 1e-3
+    method: zoh
+    impact: {peak_n: 5.0, duration_s: 1e-3, piezo_travel_m: 20e-6}
+    operating_points: [{pressure_bar: 6, speed_rpm: 0}, {pressure_bar: 4, speed_rpm: 3000}]
+    peak_sensitivity: 3.0
+"""
+WORDS = "half-sine impact of 5 N, 1 ms; sampled at 1 ms (zero-order hold)"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    path = write_quick(tmp_path_factory.mktemp("slow"), text=YAML)
+    assert command("tune", path) in (0, 4)
+    return path
+
+
+@pytest.fixture(scope="module")
+def document(made):
+    """What `gbid tune --json` prints."""
+    return json.loads(CliRunner().invoke(app, ["tune", str(made), "--json"]).stdout)["tuning"][0]
+
+
+@pytest.fixture(scope="module")
+def expected(document):
+    """Row by row what each design is to be shown with."""
+
+    def cell(design, figure, factor, form):
+        value = design["worst"][figure]["value"]
+        return "inf" if value is None else format(factor * value, form)  # JSON knows no infinity
+
+    return {heading: [cell(design, *column) for design in document["performance"]] for heading, *column in COLUMNS}
+
+
+def test_the_conditions_are_those_of_the_experiment(document, expected):
+    assert {key: document[key] for key in CONDITIONS} == CONDITIONS
+    assert document["impact"] == {"peak_n": 5.0, "duration_s": 1e-3}
+    assert [len(design["points"]) for design in document["performance"]] == [2, 2]
+    assert float(expected["sampled damping"][0]) < 0 < float(expected["smallest damping"][0])
+
+
+def test_terminal(made, expected, capsys):
+    capsys.readouterr()
+    command("tune", made)
+    out = capsys.readouterr().out
+    assert WORDS in " ".join(out.split())
+    for heading, cells in expected.items():
+        line = next(entry for entry in out.splitlines() if entry.startswith(heading))
+        assert line.removeprefix(heading).split() == cells
+
+
+def test_paper_tables(made, expected, capsys):
+    assert command("figures", made) == 0
+    folder = made.parent / "results" / "slow" / "figures"
+    lines = [line for line in (folder / "designs.csv").read_text().splitlines() if not line.startswith("#")]
+    rows = {row[0]: row[1:] for row in csv.reader(lines)}
+    assert {heading: [float(cell) for cell in rows[heading]] for heading in expected} == {
+        heading: [float(cell) for cell in cells] for heading, cells in expected.items()
+    }
+    text = (folder / "designs.md").read_text()
+    assert WORDS in text
+    rows = {line.split("|")[1].strip(): line.split("|")[2:-1] for line in text.splitlines() if line.startswith("| ")}
+    for heading, cells in expected.items():
+        shown = [float(cell.replace(" - ", "inf")) for cell in rows[heading]]
+        assert shown == pytest.approx([float(cell) for cell in cells], rel=1e-3)
+
+
+def test_report(made, expected):
+    command("report", made)
+    page = unescape((made.parent / "results" / "slow" / "report.html").read_text(encoding="utf-8"))
+    section = page[page.index('id="controller"') :]
+    assert WORDS in section
+    rows = re.findall(r"<tr>(.*?)</tr>", section, re.DOTALL)
+    cells = [re.findall(r"<t[hd][^>]*>\s*(.*?)\s*</t[hd]>", row, re.DOTALL) for row in rows]
+    found = {row[0]: row[1:] for row in cells if row}
+    for heading, values in expected.items():
+        assert found[heading.replace("um", "µm")] == values
+    top = page[page.index('id="summary"') : page.index('id="controller"')]
+    assert "controller slow: not stable everywhere as it runs, sampled at 1 ms (zero-order hold)" in top
+    assert "an impact of 5 N along x" in page
+
+
+def test_the_cap_and_the_travel_are_those_of_the_experiment(made):
+    slow, published = Results(Job(load_experiment(made))).assessed
+    assert (slow.name, published.name, slow.cap) == ("slow", "published", 3.0)
+    assert not any("above 2.6" in text for text in slow.warnings())
+    stack = slow.figures.worst["stack_travel_m"][0]
+    assert slow.figures.exceeds_travel.any() == (stack > 10e-6)
+
+
+def test_without_designs_the_published_one_is_sampled_as_the_rig_is(tmp_path):
+    text = YAML[: YAML.index("controller:")].replace("rig:\n", "rig:\n  sample_time_s: 1e-3\n")
+    text = text.replace("prbs: {recordings: 0}", "prbs: {recordings: 1}")
+    (published,) = Results(Job(load_experiment(write_quick(tmp_path, text=text)))).assessed
+    assert published.sample_time == 1e-3
+    assert published.warnings()[0].startswith("as it runs, sampled, its smallest damping factor is")
