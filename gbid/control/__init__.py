@@ -1,4 +1,4 @@
-"""Controllers, closed loops, damping, and the performance of designs."""
+"""Control: controllers, closed loops, tuning of gains, impacts, and the assessment of designs."""
 
 from gbid.control.assessment.assess import Assessment, assess
 from gbid.control.assessment.compare import Comparison, compare_designs

@@ -107,7 +107,7 @@ def test_bad_files(tmp_path: Path) -> None:
         gbid.load_controller(tmp_path / "none.yaml")
     with pytest.raises(UsageError, match=r"ends in \.yaml"):
         gbid.save_controller(tmp_path / "p.h5", "P", GAINS)
-    with pytest.raises(UsageError, match="so points= has no use"):
+    with pytest.raises(UsageError, match="leave points= out"):
         gbid.save_controller(tmp_path / "q.yaml", "P", GAINS, points=[(6, 0)])
     path.write_text(text)
     with pytest.raises(UsageError, match="leave structure= out"):

@@ -106,10 +106,10 @@ def test_force_entry_finds_the_velocities() -> None:
         (lambda: HalfSine(peak_n=0.0), "peak_n = 0.0; give a positive number"),
         (lambda: HalfSine(mass_kg=np.nan), "mass_kg = nan; give a positive number"),
         (lambda: HalfSine(direction_deg=np.inf), "direction_deg = inf"),
-        (lambda: impact_response(exact_plant(MACHINE, 6, 0), PAPER), "has exact delays: make states of them"),
+        (lambda: impact_response(exact_plant(MACHINE, 6, 0), PAPER), "has exact delays; replace them first"),
         (lambda: impact_response(PLANT, PAPER, piezo_travel_m=0.0), "piezo_travel_m = 0.0; give a positive"),
         (lambda: impact_response(PLANT, PAPER, entry=np.zeros((3, 2))), "entry has 3 rows for the 10 states"),
-        (lambda: force_entry(ACTUATORS), "is no position whose velocity is a state"),
+        (lambda: force_entry(ACTUATORS), "is not a position whose velocity is a state"),
         (lambda: force_entry(PLANT.discretise(1e-4)), "it is sampled; give the continuous model"),
     ],
 )

@@ -158,5 +158,5 @@ def test_bad_input() -> None:
     loop = gbid.sensitivities(PLANT, PAPER)
     with pytest.raises(UsageError, match="choose 'output' or 'input'"):
         disk_margins_by_loop(loop, "middle")  # type: ignore[arg-type]
-    with pytest.raises(UsageError, match="is no position whose velocity is a state"):
+    with pytest.raises(UsageError, match="is not a position whose velocity is a state"):
         static_stiffness_ratio(gbid.sensitivities(TRIPLE, static(-2.0)))

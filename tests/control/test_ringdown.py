@@ -209,7 +209,7 @@ def test_force_of_one_channel() -> None:
     np.testing.assert_allclose(
         values(gbid.fit_ringdown(single, force="force", axis="y", lags=0)), values(both), rtol=1e-6
     )
-    with pytest.raises(DataError, match="say along which axis"):
+    with pytest.raises(DataError, match="give its direction"):
         gbid.fit_ringdown(single, force="force")
 
 

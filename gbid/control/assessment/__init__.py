@@ -1,1 +1,1 @@
-"""Performance of a design: figures over the operating points, comparison, and the stored design."""
+"""Assessment of control designs: figures over the operating points, comparison, and storage."""

@@ -1,4 +1,4 @@
-"""Performance of designs: the same figures for each, point by point and at their worst."""
+"""Assessment of a control design: performance figures at each operating point and their worst values."""
 
 from __future__ import annotations
 
@@ -19,24 +19,26 @@ from gbid.structure.linear import Structure
 
 @dataclass(frozen=True)
 class Assessment:
-    """A design over its operating points.
+    """Performance figures of a design over its operating points.
 
     Attributes
     ----------
     name : str
+        Name of the design.
     structure : str
-        Name of the controller's structure.
+        Name of the structure of the controller.
     gains : dict of str to float
+        Gains by name.
     points : tuple of PointAssessment
-        In the order asked for.
+        Figures at each operating point, in the given order.
     sample_time : float
-        Of the loop as it runs [s].
+        Sample time of the sampled loop [s].
     computation_s : float
-        Its time for computation [s].
+        Computation time of the sampled loop [s].
     method : str
-        How the controller was sampled.
+        Method by which the controller was discretised.
     impact : HalfSine
-        The impact; its direction is turned to x and y.
+        The reference impact, applied along x and along y.
     """
 
     name: str
@@ -60,12 +62,12 @@ class Assessment:
 
     @property
     def stable(self) -> bool:
-        """Whether the continuous loop is, everywhere."""
+        """Whether the continuous loop is stable at all operating points."""
         return all(point.stable for point in self.points)
 
     @property
     def worst(self) -> dict[str, tuple[float, PointAssessment]]:
-        """Worst value of each of `FIGURES` and the point where it occurs."""
+        """Worst value of each of `FIGURES`, and the point where it occurs."""
         found = {}
         for name in FIGURES:
             entries = [(point.figures()[name], point) for point in self.points]
@@ -86,41 +88,39 @@ def assess(
     impact: HalfSine | None = None,
     piezo_travel_m: float | None = None,
 ) -> Assessment:
-    """Assess the performance of a design over operating points.
+    """Return the performance figures of a design over operating points.
 
     Parameters
     ----------
     lpv : LPVModel
-        With actuators.
+        Model with actuators.
     controller : str or Structure
-        ``"P"``, ``"PD"``, ``"biquad"`` with their defaults, or a structure: of `controller_structure`, of
+        ``"P"``, ``"PD"`` or ``"biquad"`` with default options, or a structure from `controller_structure` or
         `scheduled`, or your own.
     gains : dict of str to float
         A value for every parameter of the structure.
     points : sequence of (pressure_bar, speed_rpm), optional
-        The model's operating points when not given.
+        Operating points; by default those of the model.
     name : str
-        Of the design, for tables; the structure's when not given.
+        Name of the design, for tables; by default that of the structure.
     sample_time : float
-        Of the loop as it runs [s].
+        Sample time of the sampled loop [s].
     computation_s : float, optional
         Time from the sample of p to the change of r [s]; one sample when not given.
     method : {"tustin", "zoh"}
-        How the controller is sampled.
+        Method by which the controller is discretised.
     impact : HalfSine, optional
-        Reference impact, along x and along y; the default of `HalfSine` when not given.
-    piezo_travel_m : float, optional
-        Travel of one stack [m]; the rig's when not given, 45 um where the model knows none.
+        Reference impact, along x and along y; by default that of `HalfSine`.
 
     Returns
     -------
     Assessment
-        Continuous figures with the model's Pade delays, sampled ones with exact delays.
+        Figures of the continuous loop with the Pade delays of the model, and of the sampled loop with exact delays.
 
     Raises
     ------
     UsageError
-        For a model without actuators or points, points outside its domain, or gains that do not fit.
+        When the model has no actuators or no points, when a point lies outside its domain, or when gains do not fit.
     """
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     chosen = tuple(lpv.operating_points if points is None else points)

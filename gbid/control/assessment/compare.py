@@ -1,4 +1,4 @@
-"""Designs side by side."""
+"""Comparison of control designs."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ class Comparison:
     Attributes
     ----------
     columns : tuple of str
-        Headings; the first is the name of the design.
+        Headings; the first is for the name of the design.
     values : tuple of tuple of float
         One row per design, without its name, in the units of the headings.
     rows : tuple of tuple of str
-        One row per design, ready to print.
+        One row per design as formatted texts.
     """
 
     columns: tuple[str, ...]
@@ -47,19 +47,19 @@ class Comparison:
         return str(self)
 
     def __str__(self) -> str:
-        """Return an aligned table."""
+        """Return a table with aligned columns."""
         table = (self.columns, *self.rows)
         widths = [max(len(row[i]) for row in table) for i in range(len(self.columns))]
         return "\n".join("  ".join([row[0].ljust(widths[0]), *map(str.rjust, row[1:], widths[1:])]) for row in table)
 
 
 def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
-    """Put the worst figures of several designs side by side.
+    """Return the worst figures of several designs in one table.
 
     Parameters
     ----------
     assessments : sequence of Assessment
-        Over the same operating points, with the same impact and sampling.
+        Assessments over the same operating points, with the same impact and sampling.
 
     Returns
     -------
@@ -68,7 +68,7 @@ def compare_designs(assessments: Sequence[Assessment]) -> Comparison:
     Raises
     ------
     UsageError
-        When there are none, or they were not made under the same conditions.
+        When there are no assessments, or when their conditions differ.
     """
     if not assessments:
         raise UsageError("compare_designs: no designs")

@@ -1,4 +1,4 @@
-"""A design at one operating point: all figures that designs are compared by."""
+"""Performance figures of a design at one operating point."""
 
 from __future__ import annotations
 
@@ -34,47 +34,50 @@ FIGURES = (
     "sampled_damping",
     "sampled_peak_output",
 )
-"""Figures that designs are compared by."""
+"""Figures by which designs are compared."""
 
 LOWEST_IS_WORST = ("damping", "disk_margin", "stiffness_ratio", "slowest_decay_hz", "sampled_damping")
 
 
 @dataclass(frozen=True)
 class PointAssessment:
-    """A design at one operating point.
+    """Performance figures of a design at one operating point.
 
     Attributes
     ----------
     pressure_bar, speed_rpm : float
+        Operating point.
     stable : bool
+        Whether the continuous loop is stable.
     damping : float
-        Smallest damping factor of the oscillatory modes of the continuous loop; -1 for a growing real pole.
+        Smallest damping factor of the oscillatory modes of the continuous loop; -1 for an unstable real pole.
     modes : tuple of (frequency_hz, damping)
-        By rising frequency.
+        Oscillatory modes by rising frequency.
     slowest_decay_hz : float
-        Decay rate of the slowest pole over 2 pi [Hz], real or not; negative when it grows.
+        Decay rate of the slowest pole, real or complex, over 2 pi [Hz]; negative when it is unstable.
     peak_output, peak_control : Peak
-        Largest singular values of S_o and K S_o.
+        Largest singular values of S_o and K S_o over frequency.
     disk : DiskMargin
-        Of all loops at once, at the positions.
+        Disk margin of all loops together, at the positions.
     static_amplification : float
-        Largest singular value of S_o at rest; infinite for an unstable loop, which has no rest.
+        Largest singular value of S_o at zero frequency; infinite for an unstable loop.
     stiffness_ratio : tuple of float
-        Static stiffness of the closed loop over that of the open one, x and y; NaN for an unstable loop.
+        Static stiffness of the closed loop over that of the open loop, x and y; NaN for an unstable loop.
     impact_p_m, impact_r_m : float
-        Largest motion of the disc and largest ``|r|`` under the impact, the worse of x and y [m].
+        Largest motion of the disc and largest ``|r|`` after the impact, the larger of x and y [m].
     stack_travel_m : float
-        Largest motion of one stack out of its middle under the impact [m].
+        Largest motion of one stack from its middle after the impact [m].
     exceeds_travel : bool
-        Whether that is more than a stack has.
+        Whether this motion is larger than the travel of a stack.
     decay_time_s : float
-        Until the disc's motion after the impact stays below 5 % of its peak, the longer of x and y [s].
+        Time until the motion of the disc after the impact stays below 5 % of its peak, the longer of x and y [s].
     sampled_stable : bool
+        Whether the sampled loop is stable.
     sampled_damping : float
-        Smallest damping factor of the loop as it runs: sampled, with time for computation and exact delays; of the
-        modes that last longer than a sample.
+        Smallest damping factor of the sampled loop, with computation time and exact delays, over the modes that last
+        longer than a sample.
     sampled_peak_output : Peak
-        Largest singular value of S_o of that loop.
+        Largest singular value of S_o of the sampled loop.
     """
 
     pressure_bar: float
@@ -98,7 +101,7 @@ class PointAssessment:
     sampled_peak_output: Peak
 
     def figures(self) -> dict[str, float]:
-        """Return what designs are compared by, in the order of `FIGURES`."""
+        """Return the figures by which designs are compared, in the order of `FIGURES`."""
         values = (
             self.damping,
             self.peak_output.value,
@@ -117,7 +120,7 @@ class PointAssessment:
 
     @property
     def sampling_cost(self) -> float:
-        """Damping lost by sampling and computation; negative where their lag adds damping."""
+        """Damping that is lost by sampling and computation; negative when their delay increases the damping."""
         return self.damping - self.sampled_damping
 
 
@@ -132,7 +135,7 @@ def assess_point(
     impact: HalfSine,
     piezo_travel_m: float,
 ) -> PointAssessment:
-    """Work out all figures of a design at one operating point; see `gbid.assess` for the arguments."""
+    """Return all figures of a design at one operating point; see `gbid.assess` for the arguments."""
     plant, controller = lpv.plant_at(*point), controller_at(structure, gains, *point)
     loop = sensitivities(plant, controller)
     closed = loop.model("plant")

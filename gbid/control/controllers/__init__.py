@@ -1,1 +1,1 @@
-"""Controllers of fixed structure, scheduled ones, their files and their export to C."""
+"""Controllers of fixed structure, scheduled controllers, their files and their export to C."""

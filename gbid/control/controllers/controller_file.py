@@ -1,4 +1,4 @@
-"""Controllers in YAML files, for the real-time target and for a later session."""
+"""Controller files in YAML, for the real-time target and for later use."""
 
 from __future__ import annotations
 
@@ -44,43 +44,45 @@ def save_controller(
     provenance: Mapping[str, str | float] | None = None,
     overwrite: bool = False,
 ) -> ControllerDesign:
-    """Write a controller as a YAML file: structure, gains with units, sampling and its matrices.
+    """Write a controller as a YAML file, and return the design.
+
+    The file has the structure, the gains with units, the sampling and the matrices.
 
     Parameters
     ----------
     path : str or path
-        The file; ends in .yaml.
+        The new file, ending in .yaml.
     structure : Structure, Scheduled or str
-        See `controller_structure`.
+        Structure of the controller; see `controller_structure`.
     gains : dict of str to float
         A value for every parameter of the structure.
     name : str
-        The structure's when not given.
+        Name of the design; by default that of the structure.
     sample_time : float
-        T_s of the sampled matrices [s].
+        Sample time T_s of the sampled matrices [s].
     method : {"tustin", "zoh"}
-        How it is sampled; see `gbid.control.sample_controller`.
+        Method of discretisation; see `gbid.control.sample_controller`.
     plant : str
-        Name of the model that it was designed on.
+        Name of the model for which it was designed.
     points : sequence of (pressure_bar, speed_rpm)
-        Operating points whose matrices are written, for a controller whose gains follow them; at least one.
+        Operating points whose matrices are written; required for a scheduled controller.
     provenance : dict of str to str or float, optional
-        What else is worth keeping.
+        Additional information to store.
     overwrite : bool
         Whether an existing file may be replaced.
 
     Returns
     -------
     ControllerDesign
-        What was written.
+        The design as written.
 
     Raises
     ------
     UsageError
-        When the file exists and `overwrite` is not set, the ending is another, gains do not fit, or `points` are
-        missing for a scheduled controller or given for another.
+        When the file exists and `overwrite` is not set, when it has another ending, when gains do not fit, or when
+        `points` are missing for a scheduled controller or given for another one.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     path = Path(path)
     if path.suffix not in (".yaml", ".yml"):
@@ -90,7 +92,11 @@ def save_controller(
     if isinstance(structure, Scheduled) != bool(points):
         raise UsageError(
             f"controller {structure.name!r}: "
-            + ("its gains are fixed, so points= has no use" if points else "give the operating points= to be written")
+            + (
+                "its gains do not depend on the operating point; leave points= out"
+                if points
+                else "give the operating points= to be written"
+            )
         )
     units = {parameter.name: parameter.unit for parameter in structure.parameters}
     values = {key: float(value) for key, value in gains.items()}
@@ -107,13 +113,14 @@ def save_controller(
 
 
 def load_controller(path: str | Path, structure: Structure | Scheduled | None = None) -> ControllerDesign:
-    """Read a controller file.
+    """Return the design stored in a controller file.
 
     Parameters
     ----------
     path : str or path
+        The file.
     structure : Structure or Scheduled, optional
-        For a controller of a structure of one's own; without it the matrices of the file are all there is.
+        Structure of a user-defined controller. Without it, only the stored matrices are available.
 
     Returns
     -------
@@ -122,7 +129,7 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
     Raises
     ------
     UsageError
-        For a missing or broken file, with line and column, and when its matrices are not those of its gains.
+        When the file is missing or faulty (with line and column), or when its matrices do not agree with its gains.
     """
     file = read_yaml(Path(path))
     table = parse(file)
@@ -223,7 +230,7 @@ def _point(model: ControllerModelTable) -> Point | None:
 def _check_matrices(
     file: YamlFile, design: ControllerDesign, i: int, stored: ControllerModelTable, sampled: LinearModel
 ) -> None:
-    """Refuse matrices that gains and sampling would not give: somebody changed one and not the other."""
+    """Refuse matrices that do not agree with gains and sampling, because only one of them was changed."""
     point = _point(stored) or ()
     for what, found, expected in (
         ("continuous", design.models[_point(stored)], design.at(*point)),

@@ -1,4 +1,4 @@
-"""The schema of a controller file."""
+"""Schema of a controller file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Rows = tuple[tuple[Number, ...], ...]
 
 @dataclass(frozen=True)
 class GainTable(FileTable):
-    """One gain."""
+    """Value and unit of one gain."""
 
     value: Number
     unit: str = ""
@@ -27,7 +27,7 @@ class GainTable(FileTable):
 
 @dataclass(frozen=True)
 class StructureTable(FileTable):
-    """A built-in structure with its options, or the name of a structure of one's own."""
+    """Built-in structure with its options, or name of a user-defined structure."""
 
     kind: Literal["P", "PD", "biquad", "own"]
     name: str = ""
@@ -36,7 +36,7 @@ class StructureTable(FileTable):
 
 @dataclass(frozen=True)
 class ScheduleTable(FileTable):
-    """Terms of scheduled gains and the range that scales them."""
+    """Terms of scheduled gains, and the ranges that scale pressure and speed."""
 
     terms: tuple[str, ...]
     pressure_bar: tuple[Number, Number]
@@ -45,7 +45,7 @@ class ScheduleTable(FileTable):
 
 @dataclass(frozen=True)
 class SamplingTable(FileTable):
-    """How the controller is sampled."""
+    """Sample time [s] and method of discretisation."""
 
     sample_time_s: Number
     method: Literal["tustin", "zoh"]
@@ -63,7 +63,7 @@ class MatricesTable(FileTable):
 
 @dataclass(frozen=True)
 class ControllerModelTable(FileTable):
-    """The controller in numbers, at one operating point where its gains follow it."""
+    """Matrices of the controller; for scheduled gains at one operating point."""
 
     continuous: MatricesTable
     sampled: MatricesTable
@@ -73,7 +73,7 @@ class ControllerModelTable(FileTable):
 
 @dataclass(frozen=True)
 class ControllerFile(FileTable):
-    """A controller file as it is written."""
+    """Contents of a controller file."""
 
     kind: Literal["controller"]
     schema_version: Literal[1]
@@ -92,12 +92,12 @@ class ControllerFile(FileTable):
 
 
 def parse(file: YamlFile) -> ControllerFile:
-    """Check the contents of a controller file.
+    """Return the checked contents of a controller file.
 
     Raises
     ------
     UsageError
-        One line for each problem, as ``file:line:col: what``.
+        When the file has problems; one line for each, as ``file:line:col: what``.
     """
     try:
         return TypeAdapter(ControllerFile).validate_python(file.data)

@@ -1,4 +1,4 @@
-"""A controller as it leaves a design: structure, gains, sampling, and where it comes from."""
+"""Controller design: structure, gains, sampling and provenance."""
 
 from __future__ import annotations
 
@@ -17,32 +17,33 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class ControllerDesign:
-    """A designed controller; what `load_controller` returns.
+    """Designed controller, as `load_controller` returns it.
 
     Parameters
     ----------
     name : str
+        Name of the design.
     structure : Structure or Scheduled, optional
-        None for a structure of one's own that was read from a file without handing it over.
+        Structure of the controller. None for a user-defined structure that was not given when the file was read.
     gains : dict of str to float
-        Gains, or the coefficients of scheduled ones.
+        Gains, or coefficients of scheduled gains.
     sample_time : float
-        T_s of the sampled controller [s].
+        Sample time T_s of the sampled controller [s].
     method : {"tustin", "zoh"}
-        How it is sampled.
+        Method of discretisation.
     units : dict of str to str
         Unit of each gain.
     plant : str
-        Name of the model that it was designed on.
+        Name of the model for which it was designed.
     provenance : dict of str to str or float
-        Anything worth keeping: cap, value reached, program, date.
+        Additional information, such as limits, value reached, program and date.
     models : dict of (pressure_bar, speed_rpm) or None to LinearModel
-        Continuous models that were stored: one under None, or one per operating point of a scheduled controller.
+        Stored continuous models: one under None, or one per operating point of a scheduled controller.
 
     Raises
     ------
     UsageError
-        For a sample time that is not positive, or an unknown method.
+        When the sample time is not positive, or when the method is unknown.
     """
 
     name: str
@@ -69,7 +70,7 @@ class ControllerDesign:
         Parameters
         ----------
         pressure_bar, speed_rpm : float, optional
-            Operating point; a controller whose gains follow it needs one, others ignore it.
+            Operating point [bar], [rpm]; required for a scheduled controller, ignored by others.
 
         Returns
         -------
@@ -78,8 +79,8 @@ class ControllerDesign:
         Raises
         ------
         UsageError
-            When a scheduled controller gets no point, one outside its domain, or, without its structure, one that
-            is not stored.
+            When a scheduled controller gets no point, a point outside its domain, or, without its structure, a point
+            that is not stored.
         """
         point = None if pressure_bar is None or speed_rpm is None else (float(pressure_bar), float(speed_rpm))
         if self.structure is None:
@@ -87,7 +88,7 @@ class ControllerDesign:
                 if key in self.models:
                     return self.models[key]
             raise UsageError(
-                f"controller {self.name!r}: nothing stored for operating point {point}; hand its structure over: "
+                f"controller {self.name!r}: no model is stored for operating point {point}; give its structure: "
                 "load_controller(path, structure=...)"
             )
         if point is None:
@@ -99,11 +100,11 @@ class ControllerDesign:
         return controller_at(self.structure, self.gains, *point)
 
     def sampled_at(self, pressure_bar: float | None = None, speed_rpm: float | None = None) -> LinearModel:
-        """Return the controller sampled by its own method at its own sample time; see `at`.
+        """Return the controller discretised by its own method at its own sample time; see `at`.
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float, optional
-            As in `at`.
+            As for `at`.
         """
         return sample_controller(self.at(pressure_bar, speed_rpm), self.sample_time, self.method)

@@ -1,4 +1,4 @@
-"""A sampled controller as C source for a real-time target."""
+"""Export of a sampled controller as C source for a real-time target."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ def export_c(
     number: str = "double",
     overwrite: bool = False,
 ) -> tuple[Path, Path]:
-    """Write a sampled controller as C: a struct of its states, a reset and a step with saturation.
+    """Write a sampled controller as C source, and return the paths of source and header.
+
+    The source has a struct of the states, a reset function and a step function with saturation.
 
     Parameters
     ----------
     path : str or path
-        The source file, ending in .c; its name without the ending, a C identifier, begins all names in it. The
-        header is put beside it.
+        The source file, ending in .c. Its name without the ending must be a C identifier and is the prefix of all names
+        in it. The header is written beside it.
     controller : LinearModel
-        Sampled: `gbid.control.sample_controller`, or `ControllerDesign.sampled_at`.
+        Sampled controller, from `gbid.control.sample_controller` or `ControllerDesign.sampled_at`.
     limit_m : float
-        Each output is held within plus and minus this [m]: the travel that a piezo stack has to each side.
+        Limit of the magnitude of each output [m]: the travel of a piezo stack to each side.
     number : {"double", "float"}
         Type of all numbers.
     overwrite : bool
@@ -43,15 +45,14 @@ def export_c(
     Raises
     ------
     UsageError
-        For a continuous controller, a limit that is not positive, another ending or name, or files that exist.
+        When the controller is continuous, when the limit is not positive, when the ending or name is wrong, or when the
+        files exist.
     DataError
-        When they cannot be written.
+        When the files cannot be written.
 
-    Notes
-    -----
-    The step computes the outputs from the new positions before it advances the states, so that they leave as early as
-    they can. The states do not depend on the outputs, so saturation cannot wind them up. No memory is taken, no library
-    called, no global kept.
+    Notes ----- The step function computes the outputs from the new positions before it updates the states, so that
+    the outputs are available early. The states do not depend on the outputs, so saturation causes no wind-up. The
+    code allocates no memory, calls no library and has no global variables.
     """
     source = Path(path)
     header = source.with_suffix(".h")
@@ -131,7 +132,7 @@ def _sum(states: FloatArray, inputs: FloatArray, suffix: str) -> str:
 
 
 def _literal(value: float, suffix: str) -> str:
-    """Write a number that C reads back to the same bits."""
+    """Return a number as a C literal that has the same bits."""
     text = repr(float(value))
     text = text if any(c in text for c in ".e") else f"{text}.0"
     return f"({text}{suffix})" if value < 0 else f"{text}{suffix}"

@@ -1,4 +1,4 @@
-"""Built-in controllers: one filter per axis behind a low-pass, from the disc position p to the reference r."""
+"""Built-in controller structures: a filter and a low-pass per axis, from disc position p to reference r."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ OUTPUTS = ("r_x", "r_y")
 
 @dataclass(frozen=True)
 class PerAxis:
-    """What the built-in structures share: one filter per axis behind a low-pass.
+    """Base class of the built-in structures: one filter per axis in series with a low-pass.
 
     Parameters
     ----------
     lowpass_hz : float
-        Corner of the low-pass ``(p_lp / (s + p_lp))^n`` in series with each axis [Hz].
+        Corner frequency of the low-pass ``(p_lp / (s + p_lp))^n`` of each axis [Hz].
     order : int
-        Its order n; 0 leaves it out.
+        Order n of the low-pass; 0 for none.
     tune_corner : bool
-        Whether the corner is a gain of its own, ``lowpass_khz`` [kHz], shared by both axes.
+        Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz], common to both axes.
     """
 
     lowpass_hz: float = 1000.0
@@ -57,12 +57,12 @@ class PerAxis:
         raise NotImplementedError
 
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
-        """Return A, B, C, D of one axis from its gains and its low-pass."""
+        """Return A, B, C, D of one axis for its gains and its low-pass."""
         raise NotImplementedError
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gains of x and y, kind by kind; the corner last where it is tuned."""
+        """Gains of x and y, by kind; the corner frequency is last when it is tuned."""
         gains = [
             Parameter(f"{name}_{axis}", start, lower, upper, unit=unit)
             for name, start, lower, upper, unit in self._axis_gains()
@@ -92,18 +92,18 @@ class PStructure(PerAxis):
 
     .. math:: K_i(s) = \kappa_i \left(\frac{p_{lp}}{s + p_{lp}}\right)^n
 
-    Gains ``kappa_x``, ``kappa_y`` [m/m].
+    The gains are ``kappa_x``, ``kappa_y`` [m/m].
 
     Parameters
     ----------
     lowpass_hz : float
-        Corner of the low-pass [Hz].
+        Corner frequency of the low-pass [Hz].
     order : int
-        Its order n; 0 leaves it out.
+        Order n of the low-pass; 0 for none.
     tune_corner : bool
-        Whether the corner is a gain of its own, ``lowpass_khz`` [kHz].
+        Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz].
     lower, upper : float
-        Bounds of the gains.
+        Bounds of the gains [m/m].
     """
 
     lower: float = 0.0
@@ -128,16 +128,16 @@ class PDStructure(PerAxis):
 
     .. math:: K_i(s) = (\kappa_i + k_{d,i} s) \left(\frac{p_{lp}}{s + p_{lp}}\right)^n, \quad n \ge 1
 
-    Gains ``kappa_x``, ``kappa_y`` [m/m], ``kd_x``, ``kd_y`` [ms].
+    The gains are ``kappa_x``, ``kappa_y`` [m/m], ``kd_x``, ``kd_y`` [ms].
 
     Parameters
     ----------
     lowpass_hz, order, tune_corner
         As in `PStructure`; the order is at least 1.
     lower, upper : float
-        Bounds of the proportional gains.
+        Bounds of the proportional gains [m/m].
     kd_limit_ms : float
-        Largest derivative gain of either sign [ms].
+        Bound on the magnitude of the derivative gains [ms].
     """
 
     lower: float = -3.0
@@ -166,24 +166,24 @@ class PDStructure(PerAxis):
 
 @dataclass(frozen=True)
 class BiquadStructure(PerAxis):
-    r"""One second-order filter per axis.
+    r"""Biquad controller: one second-order filter per axis.
 
     .. math:: K_i(s) = \frac{b_{2,i} s^2 + b_{1,i} \omega_i s + b_{0,i} \omega_i^2}
                             {s^2 + 2 \zeta_i \omega_i s + \omega_i^2}
                        \left(\frac{p_{lp}}{s + p_{lp}}\right)^n
 
-    The numerator is scaled by the filter's own frequency, so that all gains are of order one: ``b0`` is the gain
-    at rest and ``b2`` that at high frequency. Gains per axis ``b0``, ``b1``, ``b2`` [m/m], ``frequency`` [kHz]
-    (``omega = 2 pi 1000 frequency``) and ``damping`` [-]; the bounds of the last two keep the filter stable.
+    The numerator is scaled by the frequency of the filter, so that all gains are of order one: ``b0`` is the static
+    gain and ``b2`` the gain at high frequency. The gains per axis are ``b0``, ``b1``, ``b2`` [m/m], ``frequency``
+    [kHz] (``omega = 2 pi 1000 frequency``) and ``damping`` [-]. The bounds of the last two keep the filter stable.
 
     Parameters
     ----------
     lowpass_hz, order, tune_corner
-        As in `PStructure`; no low-pass unless an order is given.
+        As in `PStructure`; by default there is no low-pass.
     gain_limit : float
-        Largest value of b0, b1, b2 of either sign.
+        Bound on the magnitude of b0, b1 and b2 [m/m].
     frequency_khz, damping : (lowest, highest)
-        Bounds of the filter's frequency [kHz] and damping factor.
+        Bounds of the frequency [kHz] and damping factor of the filter.
     """
 
     order: int = 0

@@ -1,4 +1,4 @@
-"""The low-pass in series with each axis of a controller: paper, Eq. 21."""
+"""Low-pass filter in series with each axis of a controller (paper, Eq. 21)."""
 
 from __future__ import annotations
 
@@ -14,25 +14,26 @@ from gbid.errors import UsageError
 
 @dataclass(frozen=True)
 class Lowpass:
-    """``(p_lp / (s + p_lp))^n`` as a chain of first-order lags.
+    """Low-pass filter ``(p_lp / (s + p_lp))^n`` as a chain of first-order lags.
 
     Parameters
     ----------
     corner_hz : float or casadi.SX
-        ``p_lp / 2 pi`` [Hz].
+        Corner frequency ``p_lp / 2 pi`` [Hz].
     order : int
-        n; 0 is no low-pass.
+        Order n; 0 for none.
     """
 
     corner_hz: Any = 1000.0
     order: int = 1
 
     def check(self, where: str) -> None:
-        """Refuse a corner that is not positive and an order that is negative or no whole number.
+        """Refuse a corner frequency that is not positive, and an order that is not a whole number of at least 0.
 
         Raises
         ------
         UsageError
+            When one of them is wrong.
         """
         if not (isfinite(self.corner_hz) and self.corner_hz > 0):
             raise UsageError(f"{where}: lowpass_hz = {self.corner_hz}; give a positive number of Hz")
@@ -42,7 +43,9 @@ class Lowpass:
     def matrices(self) -> tuple[Any, Any, Any, Any]:
         """Return A (n, n), B (n, 1), C (1, n), D (1, 1) as casadi.SX."""
         n, corner = self.order, 2 * np.pi * self.corner_hz
-        chain = ca.sparsify(ca.SX(ca.DM(np.eye(n, k=-1) - np.eye(n))))  # each stage follows the one before it
+        chain = ca.sparsify(
+            ca.SX(ca.DM(np.eye(n, k=-1) - np.eye(n)))
+        )  # the output of each stage is the input of the next
         first, last = ca.SX(n, 1), ca.SX(1, n)
         if n:
             first[0], last[n - 1] = corner, 1.0

@@ -1,4 +1,4 @@
-"""Controllers as linear models, from the disc position p to the piezo reference r."""
+"""Proportional controller as a linear model, from the disc position p to the piezo reference r."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gbid.structure import LinearModel
 
 
 def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, order: int = 1) -> LinearModel:
-    r"""Decentralised proportional controller with low-pass (paper, Eq. 21).
+    r"""Return a decentralised proportional controller with low-pass (paper, Eq. 21).
 
     .. math:: K_{pl}(s) = \mathrm{diag}(\kappa_x, \kappa_y) \left(\frac{p_{lp}}{s + p_{lp}}\right)^n
 
@@ -20,7 +20,7 @@ def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, ord
     lowpass_hz : float
         Corner frequency of the low-pass [Hz]; ``p_lp = 2 pi lowpass_hz`` in rad/s.
     order : int
-        Order n of the low-pass; 0 leaves it out.
+        Order n of the low-pass; 0 for none.
 
     Returns
     -------
@@ -30,7 +30,7 @@ def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, ord
     Raises
     ------
     UsageError
-        For gains that are not finite, a corner that is not positive, a negative order.
+        When gains are not finite, the corner frequency is not positive, or the order is negative.
     """
     for name, gain in (("kappa_x", kappa_x), ("kappa_y", kappa_y)):
         if not np.isfinite(gain):
@@ -40,7 +40,7 @@ def p_controller(kappa_x: float, kappa_y: float, lowpass_hz: float = 1000.0, ord
     if order < 0:
         raise UsageError(f"p_controller: order = {order}; it must be at least 0")
     corner = 2.0 * np.pi * lowpass_hz
-    chain = corner * (np.eye(order, k=-1) - np.eye(order))  # each stage follows the one before it
+    chain = corner * (np.eye(order, k=-1) - np.eye(order))  # the output of each stage is the input of the next
     first, last = np.zeros((order, 1)), np.zeros((1, order))
     first[:1], last[:, -1:] = corner, 1.0
     axes, gains = np.eye(2), np.diag(np.array([kappa_x, kappa_y], float))

@@ -1,4 +1,4 @@
-"""Gains that follow the operating point as polynomials in pressure and speed."""
+"""Scheduled gains: polynomials in pressure and speed."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ _SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=
 
 @dataclass(frozen=True)
 class Scheduled:
-    r"""A controller whose gains are polynomials in pressure and speed (terms of Eq. 16).
+    r"""Controller whose gains are polynomials in pressure and speed (terms of Eq. 16).
 
     .. math:: g(P, \Omega) = \sum_j c_j\, t_j(\tilde P, \tilde \Omega), \quad
               \tilde P = \frac{P - P_0}{\Delta P}, \quad \tilde \Omega = \frac{\Omega - \Omega_0}{\Delta \Omega}
 
-    with the middle and the half width of the domain, so that pressure and speed run from -1 to 1 and all
-    coefficients of a gain are of its own size. Its parameters are the coefficients, ``kappa_x_1``,
-    ``kappa_x_P``, ``kappa_x_Omega``, ... for the gain ``kappa_x``.
+    P_0 and Omega_0 are the middle of the domain, Delta P and Delta Omega its half widths. So the scaled pressure and
+    speed lie between -1 and 1, and all coefficients of a gain have its order of magnitude. The parameters are the
+    coefficients, ``kappa_x_1``, ``kappa_x_P``, ``kappa_x_Omega``, ... for the gain ``kappa_x``.
 
     Parameters
     ----------
     base : Structure
-        The controller at one operating point.
+        Structure of the controller at one operating point.
     terms : tuple of str
-        Which of `gbid.lpv.TERMS`; ``"1"`` is among them.
+        Terms of `gbid.lpv.TERMS`; ``"1"`` must be one of them.
     domain : Domain
         Range of pressure and speed.
     """
@@ -53,29 +53,30 @@ class Scheduled:
 
     @property
     def name(self) -> str:
-        """Name of the base with the terms."""
+        """Name of the base structure with the terms."""
         return f"{self.base.name} scheduled over {', '.join(self.terms)}"
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Those of the base."""
+        """Inputs of the base structure."""
         return self.base.inputs
 
     @property
     def outputs(self) -> tuple[str, ...]:
-        """Those of the base."""
+        """Outputs of the base structure."""
         return self.base.outputs
 
     @property
     def intersample(self) -> Hold:
-        """That of the base."""
+        """Inter-sample behaviour of the inputs of the base structure."""
         return self.base.intersample
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Coefficients, gain by gain: the constant within the gain's own bounds, the others within their half width.
+        """Coefficients, gain by gain.
 
-        These bounds do not hold the gains themselves, which `gains` gives: constrain those at operating points.
+        The constant term has the bounds of the gain, the other terms have plus and minus half their width. These
+        bounds do not limit the gains themselves. Limit the values of `gains` at operating points for that.
         """
         return tuple(
             Parameter(self._coefficient(gain, term), *_range(gain, term), unit=gain.unit)
@@ -84,23 +85,24 @@ class Scheduled:
         )
 
     def gains(self, p: Mapping[str, Any], pressure_bar: Any, speed_rpm: Any) -> dict[str, Any]:
-        """Gains at one operating point; coefficients and point may be numbers or symbols.
+        """Return the gains at one operating point, for numbers or symbols.
 
         Parameters
         ----------
         p : dict of str to float or casadi.SX
             Coefficients by name.
         pressure_bar, speed_rpm : float or casadi.SX
+            Operating point [bar], [rpm].
 
         Returns
         -------
         dict of str to float or casadi.SX
-            By the names of the base's parameters.
+            Gains by the names of the parameters of the base structure.
 
         Raises
         ------
         UsageError
-            When a coefficient is missing, or numbers lie outside the domain.
+            When a coefficient is missing, or when numbers lie outside the domain.
         """
         missing = [parameter.name for parameter in self.parameters if parameter.name not in p]
         if missing:
@@ -127,15 +129,17 @@ class Scheduled:
         p : Values
             Coefficients by name.
         pressure_bar, speed_rpm : float or casadi.SX
+            Operating point [bar], [rpm].
         """
         return self.base.matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
-        """Return the structure at one operating point, its parameters still the coefficients.
+        """Return the structure at one operating point; its parameters are the coefficients.
 
         Parameters
         ----------
         pressure_bar, speed_rpm : float
+            Operating point [bar], [rpm].
         """
         self.domain.check(pressure_bar, speed_rpm, self.name)
         return LinearStructure(
@@ -154,17 +158,16 @@ class Scheduled:
 def scheduled(
     structure: Structure, terms: Sequence[str] = ("1", "P", "Omega"), domain: Domain | None = None
 ) -> Scheduled:
-    """Let a controller's gains follow pressure and speed.
+    """Return a controller structure whose gains depend on pressure and speed.
 
     Parameters
     ----------
     structure : Structure
-        The controller at one operating point; see `controller_structure`.
+        Structure of the controller at one operating point; see `controller_structure`.
     terms : sequence of str
         Terms of the polynomials, from `gbid.lpv.TERMS`.
     domain : Domain, optional
-        Range that scales pressure and speed: the model's own, ``lpv.domain``. 3 to 7 bar and 0 to 6000 rpm when
-        not given.
+        Range that scales pressure and speed, usually ``lpv.domain``. By default 3 to 7 bar and 0 to 6000 rpm.
 
     Returns
     -------
@@ -173,7 +176,7 @@ def scheduled(
     Raises
     ------
     UsageError
-        For unknown or repeated terms, or without the constant one.
+        When a term is unknown or repeated, or when the constant term is missing.
     """
     return Scheduled(structure, tuple(terms), domain or Domain((3.0, 7.0), (0.0, 6000.0)))
 
@@ -181,14 +184,16 @@ def scheduled(
 def controller_at(
     structure: Structure | Scheduled, gains: Mapping[str, float], pressure_bar: float, speed_rpm: float
 ) -> LinearModel:
-    """Evaluate a controller at one operating point, whether its gains follow the point or not.
+    """Return a controller, scheduled or not, at one operating point.
 
     Parameters
     ----------
     structure : Structure or Scheduled
+        Structure of the controller.
     gains : dict of str to float
-        A value for every parameter: gains, or the coefficients of scheduled ones.
+        A value for every parameter: gains, or coefficients of scheduled gains.
     pressure_bar, speed_rpm : float
+        Operating point [bar], [rpm].
 
     Returns
     -------
@@ -198,7 +203,7 @@ def controller_at(
     Raises
     ------
     UsageError
-        As `controller_model`; for a scheduled one also outside its domain.
+        As for `controller_model`; for a scheduled controller also when the point lies outside its domain.
     """
     if isinstance(structure, Scheduled):
         return controller_model(structure.base, structure.gains(gains, pressure_bar, speed_rpm))
@@ -206,7 +211,7 @@ def controller_at(
 
 
 def _range(gain: Parameter, term: str) -> tuple[float, float, float]:
-    """Start and bounds of a coefficient."""
+    """Return start value and bounds of a coefficient."""
     if term == "1":
         return gain.start or 0.0, gain.lower, gain.upper
     half = (gain.upper - gain.lower) / 2

@@ -1,4 +1,4 @@
-"""Controllers of fixed structure, built in or one's own, and what they are with numbers for their gains."""
+"""Controllers of fixed structure, built-in or user-defined, and their models for given gains."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ KINDS: dict[str, type[PerAxis]] = {"P": PStructure, "PD": PDStructure, "biquad":
 
 
 def controller_structure(kind: ControllerKind | str | Structure, **options: Any) -> Structure:
-    """Choose the structure of a controller from the disc position p to the piezo reference r.
+    """Return the structure of a controller from the disc position p to the piezo reference r.
 
     Parameters
     ----------
     kind : {"P", "PD", "biquad"} or Structure
-        One of the built-in structures, each with one filter per axis, or one of your own: a
-        `gbid.LinearStructure` with its gains as parameters, two inputs and two outputs.
+        A built-in structure with one filter per axis, or your own: a `gbid.LinearStructure` with its gains as
+        parameters, two inputs and two outputs.
     **options
-        Of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner`` and bounds (see
+        Options of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner`` and bounds (see
         `gbid.control.PStructure`, `gbid.control.PDStructure`, `gbid.control.BiquadStructure`).
 
     Returns
     -------
     Structure
-        With `parameters` (the gains, with start values and bounds) and symbolic `matrices`.
+        It has `parameters` (the gains, with start values and bounds) and symbolic `matrices`.
 
     Raises
     ------
     UsageError
-        For an unknown kind or option, options beside a structure of your own, or one without bounds that fit.
+        When a kind or option is unknown, when options are given with your own structure, or when bounds do not fit.
 
     Notes
     -----
@@ -58,11 +58,12 @@ def controller_structure(kind: ControllerKind | str | Structure, **options: Any)
 
 
 def controller_model(structure: Structure, gains: Mapping[str, float]) -> LinearModel:
-    """Put gains into a controller's structure.
+    """Return the model of a controller structure for given gains.
 
     Parameters
     ----------
     structure : Structure
+        Structure of the controller.
     gains : dict of str to float
         A value for every parameter.
 
@@ -74,7 +75,7 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     Raises
     ------
     UsageError
-        When a gain is missing, unknown or not finite, or the structure has not two inputs and two outputs.
+        When a gain is missing, unknown or not finite, or when the structure does not have two inputs and two outputs.
     """
     names = [parameter.name for parameter in structure.parameters]
     unknown = [name for name in gains if name not in names]

@@ -1,1 +1,1 @@
-"""Hammer impacts: half-sine response of a loop, impacts found in recordings, validation against a model."""
+"""Hammer impacts: simulated response of a loop, impacts found in recordings, validation of a model."""

@@ -1,4 +1,4 @@
-"""What impacts do to disc and piezos: largest motion, time until it is over, measured and simulated."""
+"""Impact figures: largest motion of disc and piezos and decay time, measured and simulated."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 
 OVER = 0.95
-"""Share of a response's energy after which it counts as over."""
-_QUIET = 50  # samples between responses that the noise needs
+"""A response has decayed when this share of its energy has passed."""
+_QUIET = 50  # smallest number of samples between responses for an estimate of the noise
 
 
 @dataclass(frozen=True)
 class ImpactFigures:
-    """Figures of the impacts of one recording: means over the impacts and, measured, standard deviations.
+    """Figures of the impacts of one recording: means over the impacts, and standard deviations of the measured values.
 
     Attributes
     ----------
     peak_m, peak_std_m, peak_simulated_m : float
-        Largest distance of the disc from where it was [m]. What is measured holds the noise of the sensor.
+        Largest distance of the disc from its position before the impact [m]. The measured value contains sensor noise.
     decay_s, decay_std_s, decay_simulated_s : float
-        From the impact until 95 % of the energy of the response, the noise's taken off, has passed [s].
-        An amplitude that falls as exp(-d t) has lost 78 % by then.
+        Time from the impact until 95 % of the energy of the response has passed, without the energy of the noise [s].
+        An amplitude that decays as exp(-d t) has lost 78 % by then.
     piezo_m, piezo_std_m, piezo_simulated_m : float
-        Largest motion of a stack out of its middle, ``|u| / 2`` [m]. What is measured holds what the controller makes
-        of the sensor's noise; it is nan without the signal `u`.
+        Largest motion of a stack from its middle, ``|u| / 2`` [m]. The measured value contains the response of the
+        controller to sensor noise. It is nan without the signal `u`.
     """
 
     peak_m: float
@@ -55,18 +55,18 @@ def impact_figures(
     actuators: LinearModel,
     controller: LinearModel | None = None,
 ) -> ImpactFigures:
-    """Work out the figures of a recording.
+    """Return the impact figures of a recording.
 
     Parameters
     ----------
     recording : Recording
-        That was validated.
+        The validated recording.
     validation : ImpactValidation
-        Of it, against the loop as it runs.
+        Its validation against the sampled loop.
     actuators : LinearModel
-        Continuous, from r to u.
+        Continuous actuators, from r to u.
     controller : LinearModel, optional
-        Sampled, from p to r, one sample for its computation; open loop when not given.
+        Sampled controller, from p to r, with one sample of computation; open loop when not given.
 
     Returns
     -------
@@ -88,24 +88,24 @@ def impact_figures(
         left = u - driven
         measured = u - basis @ np.linalg.lstsq(basis, left, rcond=None)[0]
         stacks = [(float(np.abs(measured[a:b]).max()) / 2, s) for (a, b), (_, s) in zip(v.windows, stacks, strict=True)]
-    return ImpactFigures(*_told(peaks), *_told(decays), *_told(stacks))
+    return ImpactFigures(*_statistics(peaks), *_statistics(decays), *_statistics(stacks))
 
 
-def _told(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
-    """Mean and standard deviation of what is measured, mean of what is simulated."""
+def _statistics(pairs: list[tuple[float, float]]) -> tuple[float, float, float]:
+    """Return mean and standard deviation of the measured values, and mean of the simulated values."""
     measured, simulated = np.array(pairs).T
     spread = float(measured.std(ddof=1)) if len(measured) > 1 else float("nan")
     return float(measured.mean()), spread, float(simulated.mean())
 
 
 def _sizes(validation: ImpactValidation, position: FloatArray) -> Iterator[FloatArray]:
-    """Distance of the disc after each impact."""
+    """Yield the distance of the disc after each impact."""
     for start, stop in validation.windows:
         yield np.hypot(*position[start:stop].T)
 
 
 def _noise(moved: FloatArray, validation: ImpactValidation) -> float:
-    """Mean square of the distance where nothing is left of a response; nan where there is no such time."""
+    """Return the mean square of the distance outside the responses; nan when there is no such time."""
     quiet = np.ones(len(moved), dtype=bool)
     for start, stop in validation.windows:
         quiet[start:stop] = False
@@ -113,7 +113,7 @@ def _noise(moved: FloatArray, validation: ImpactValidation) -> float:
 
 
 def _decay(distance: FloatArray, noise: float) -> float:
-    """Count samples until the share `OVER` of the energy has passed."""
+    """Return the number of samples until the share `OVER` of the energy has passed."""
     energy = np.concatenate([[0.0], np.cumsum(distance**2 - noise)])
     if not energy[-1] > 0:
         return float("nan")
@@ -125,12 +125,12 @@ def _decay(distance: FloatArray, noise: float) -> float:
 def _piezos(
     position: FloatArray, actuators: LinearModel, controller: LinearModel | None, sample_time: float
 ) -> FloatArray:
-    """Difference of the piezo positions that a controller makes of a position; zero without one."""
+    """Return the difference of the piezo positions that a controller commands; zero without a controller."""
     if controller is None:
         return np.zeros_like(position)
     A, B, C, D = (np.array(m) for m in (controller.A, controller.B, controller.C, controller.D))
     output = propagate(A, position @ B.T, np.zeros(len(A))) @ C.T + position @ D.T
-    reference = np.vstack([np.zeros((1, 2)), output[:-1]])  # computing takes a sample
+    reference = np.vstack([np.zeros((1, 2)), output[:-1]])  # the computation takes one sample
     held = discretise(np.array(actuators.A), np.array(actuators.B), sample_time, "zoh")
     states = propagate(np.asarray(held.F), reference @ np.asarray(held.G_now).T, np.zeros(len(held.F)))
     return np.asarray(states @ np.array(actuators.C).T)

@@ -1,4 +1,4 @@
-"""Response of a model to a measured force, which enters the rotor without delay and actuators (paper, Sec. 5.1)."""
+"""Response of a model to a measured force, which acts on the rotor without delay and actuators (paper, Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -27,40 +27,42 @@ def force_response(
     computation_s: float | None = None,
     entry: FloatArray | None = None,
 ) -> FloatArray:
-    r"""Simulate the disc under the force of some impacts, for a mass of 1 kg.
+    r"""Return the simulated disc position after impacts, for a mass of 1 kg.
 
     .. math:: p = G_b f \quad\text{(open loop, Eq. 8)}, \qquad p = S_o G_b f \quad\text{(closed loop, Eq. 22)}
 
     Parameters
     ----------
     plant : LinearModel
-        Continuous, from r (or u) to p. In open loop its input does not matter.
+        Continuous plant, from r (or u) to p. In open loop its input has no effect.
     controller : LinearModel or None
-        From p to r. Continuous: the loop of the paper, which needs a plant without exact delays. Sampled: the loop as
-        it runs, r held over each sample, exact delays allowed.
+        Controller from p to r. A continuous controller gives the loop of the paper and needs a plant without exact
+        delays. A sampled controller gives the sampled loop: r is held over each sample, and exact delays are allowed.
     pulses : sequence of Pulse
+        Forces of the impacts.
     n_samples : int
+        Number of samples.
     sample_time : float
-        [s].
+        Time between samples [s].
     computation_s : float, optional
-        Time from the sample of p to the change of r, sampled controllers only [s]; one sample when not given.
+        Time from the sample of p to the change of r, for sampled controllers only [s]; one sample when not given.
     entry : (n, 2) array, optional
-        Where a force per mass enters the plant; found by `force_entry` when not given.
+        Input matrix of a force per mass; from `force_entry` when not given.
 
     Returns
     -------
     (n_samples, 2) array
-        [m kg].
+        Disc position times mass [m kg].
 
     Raises
     ------
     UsageError
-        When the models do not fit together, or the loop is unstable.
+        When the models do not fit together, or when the loop is unstable.
     """
     E = force_entry(plant) if entry is None else np.asarray(entry, float)
     n = plant.n_states
     if E.shape != (n, 2):
-        raise UsageError(f"impact: the force enters {plant.name!r} by shape {E.shape}, expected ({n}, 2)")
+        raise UsageError(f"impact: entry of the force on {plant.name!r} has shape {E.shape}, expected ({n}, 2)")
     A, C = np.array(plant.A), np.array(plant.C)
     if controller is None:
         F = expm(A * sample_time)
@@ -72,7 +74,7 @@ def force_response(
         if plant.delay is not None:
             raise UsageError(
                 f"model {plant.name!r} has exact delays and {controller.name!r} is continuous: give the sampled "
-                "controller (sample_controller), or make states of the delays, with_pade(plant, order)"
+                "controller (sample_controller), or replace the delays: with_pade(plant, order)"
             )
         closed = close_loop(plant, controller)
         A, C = np.array(closed.A), np.array(closed.C)
@@ -81,7 +83,7 @@ def force_response(
     if (np.abs(np.linalg.eigvals(F)) >= 1).any():
         what = plant.name if controller is None else f"{plant.name}, closed by {controller.name}"
         raise UsageError(f"impact: {what!r} is unstable, so there is no response to compare with")
-    # the plant's own states come first in every loop, and between samples only they see the force
+    # The states of the plant come first in every loop. Between samples the force acts on them only.
     forcing = np.zeros((n_samples, len(F)))
     forcing[:, : len(A)] = pulse_forcing(A, E, pulses, n_samples, sample_time)
     return np.asarray(propagate(F, forcing, np.zeros(len(F))) @ C.T)

@@ -1,4 +1,4 @@
-"""Response of the rotor to the impact of a hammer, open and closed loop: paper, Sec. 5.1."""
+"""Response of the rotor to a half-sine impact, in open and closed loop (paper, Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ DECAYED = 0.05
 
 @dataclass(frozen=True)
 class HalfSine:
-    """An impact ``f(t) = peak sin(pi t / duration)`` on the rotor.
+    """Half-sine impact ``f(t) = peak sin(pi t / duration)`` on the rotor.
 
     Parameters
     ----------
     peak_n : float
         Peak force [N].
     duration_s : float
-        Length [s].
+        Duration [s].
     mass_kg : float
-        Moving mass that the model's coefficients are per kg of [kg]; ``1 / mass_kg`` is the paper's g_f.
+        Moving mass [kg], to which the coefficients of the model refer; ``1 / mass_kg`` is g_f of the paper.
     direction_deg : float
         Direction from x to y [degrees].
 
     Notes
     -----
     The paper does not give the mass. The default is that of the rig, `gbid.rig.Machine.moving_mass`: disc and shaft of
-    Table 1 turn about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
-    default impact moves the disc by some 8 of the 25 um of clearance.
+    Table 1 rotate about the ball bearing at the other end of the shaft, so the disc and a third of the shaft move. The
+    default impact moves the disc by about 8 of the 25 um of clearance.
     """
 
     peak_n: float = 12.0
@@ -61,7 +61,7 @@ class HalfSine:
         Parameters
         ----------
         direction_deg : float
-            Angle from x towards y [degrees].
+            Angle from x to y [degrees].
         """
         return replace(self, direction_deg=direction_deg)
 
@@ -73,20 +73,22 @@ class ImpactResponse:
     Attributes
     ----------
     time_s : (n_samples,) array
+        Time [s].
     force_n : (n_samples,) array
+        Force [N].
     p, r, u : (n_samples, 2) array
-        Disc position, references, difference of piezo positions [m]; `u` is zero where no actuators were given.
+        Disc position, references, difference of piezo positions [m]; `u` is zero without actuators.
     peak_p_m : float
         Largest distance of the disc from its rest [m]; infinite for an unstable loop.
     peak_r_m, peak_u_m : float
         Largest entry of ``|r|`` and ``|u|`` [m].
     decay_time_s : float
-        From the start of the impact until the distance stays below 5 % of its peak [s]; infinite when that is not
-        reached within the time simulated.
+        Time from the start of the impact until the distance stays below 5 % of its peak [s]; infinite when this does
+        not happen within the simulated time.
     stack_travel_m : float
-        Largest motion of a single stack out of its middle, commanded or moved [m]: ``|r|``, or ``|u| / 2``.
+        Largest motion of a single stack from its middle, commanded or actual [m]: ``|r|``, or ``|u| / 2``.
     travel_limit_m : float
-        Motion that a stack has to each side of its middle, half its travel [m].
+        Available motion of a stack to each side of its middle, half its travel [m].
     """
 
     time_s: FloatArray
@@ -103,7 +105,7 @@ class ImpactResponse:
 
     @property
     def exceeds_travel(self) -> bool:
-        """Whether a stack would have to move further than it can; the response is linear all the same."""
+        """Whether a stack exceeds its travel; the simulated response is linear and has no saturation."""
         return self.stack_travel_m > self.travel_limit_m
 
 
@@ -117,38 +119,39 @@ def impact_response(
     piezo_travel_m: float = 45e-6,
     entry: FloatArray | None = None,
 ) -> ImpactResponse:
-    """Simulate an impact on the rotor, which enters without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
+    """Return the response to an impact on the rotor, without delay and actuators, ``p = G_b g_f f`` (Sec. 5.1).
 
     Parameters
     ----------
     plant : LinearModel
         G, from r to p, continuous without exact delays; or G_rb, from u to p, when there is no controller.
     controller : LinearModel, optional
-        K, from p to r; the open loop when not given.
+        K, from p to r; open loop when not given.
     impact : HalfSine, optional
-        The default of `HalfSine` when not given.
+        The impact; by default that of `HalfSine`.
     actuators : LinearModel, optional
-        From r to u, to report the motion of the piezos.
+        Actuators from r to u, for the motion of the piezos.
     duration_s : float, optional
-        How long to simulate [s]; until all poles have decayed, but at most 2 s, when not given.
+        Simulated time [s]; by default until all poles have decayed, but at most 2 s.
     piezo_travel_m : float
-        Whole travel of one stack [m]; it rests in its middle and moves with r (Eq. 1).
+        Whole travel of one stack [m]; the stack rests in its middle and moves with r (Eq. 1).
     entry : (n, n_outputs) array, optional
-        Where a force per mass enters the plant; found by `force_entry` when not given.
+        Input matrix of a force per mass; from `force_entry` when not given.
 
     Returns
     -------
     ImpactResponse
-        Exact at its samples, 0.02 ms apart.
+        Exact at its samples, which are 0.02 ms apart.
 
     Raises
     ------
     UsageError
-        For exact delays, a sampled model, models that do not fit, or a plant without positions and velocities.
+        When the plant has exact delays or is sampled, when models do not fit together, or when the plant has no
+        positions and velocities as states.
     """
     impact = impact or HalfSine()
     if plant.delay is not None:
-        raise UsageError(f"model {plant.name!r} has exact delays: make states of them first, with_pade(model, order)")
+        raise UsageError(f"model {plant.name!r} has exact delays; replace them first: with_pade(model, order)")
     if not (isfinite(piezo_travel_m) and piezo_travel_m > 0):
         raise UsageError(f"impact: piezo_travel_m = {piezo_travel_m}; give a positive number")
     A, E, C_p, C_r = _loop(plant, controller, force_entry(plant) if entry is None else np.asarray(entry, float))
@@ -187,7 +190,7 @@ def impact_response(
 def _loop(
     plant: LinearModel, controller: LinearModel | None, entry: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return A and E of the loop, C of p and of r."""
+    """Return A and E of the loop, and C of p and of r."""
     if entry.shape[0] != plant.n_states:
         raise UsageError(f"impact: entry has {entry.shape[0]} rows for the {plant.n_states} states of {plant.name!r}")
     n_r = plant.B.shape[1]
@@ -211,7 +214,7 @@ def _with_actuators(
 
 
 def _simulate(A: FloatArray, push: FloatArray, length: float, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return times and states: the half-sine as the output of an oscillator, then the free response."""
+    """Return times and states: the half sine as the output of an oscillator, then the free response."""
     n = len(A)
     w = pi / length
     during = np.zeros((n + 2, n + 2))
@@ -229,7 +232,7 @@ def _simulate(A: FloatArray, push: FloatArray, length: float, duration: float) -
 
 
 def _smooth_peak(values: FloatArray) -> float:
-    """Largest value of a sampled smooth curve, by the parabola through the three samples around it."""
+    """Return the largest value of a sampled smooth curve, by the parabola through three samples."""
     k = int(values.argmax())
     if not 0 < k < len(values) - 1:
         return float(values[k])

@@ -1,4 +1,4 @@
-"""Impacts of a hammer in a recording: where they are, which way they go, and the force between the samples."""
+"""Measured hammer impacts: their place and direction in a recording, and the force between the samples."""
 
 from __future__ import annotations
 
@@ -14,28 +14,27 @@ from gbid.discretise import discretise
 from gbid.errors import DataError
 from gbid.recording import Recording
 
-_NOISES = 8.0  # an impact stands so many noise deviations out
-_SHARE = 0.05  # and reaches this share of the largest force
-_BOUNCE_S = 10e-3  # pulses closer than this are one impact: the hammer hit twice
-_FINE = 20  # points to a sample
-_SPLINE = 4  # samples inside a pulse that a cubic spline needs
+_NOISES = 8.0  # smallest force of an impact in standard deviations of the noise
+_SHARE = 0.05  # smallest force of an impact over the largest force
+_BOUNCE_S = 10e-3  # pulses closer than this are one impact, a double hit
+_FINE = 20  # points per sample
+_SPLINE = 4  # smallest number of samples inside a pulse for a cubic spline
 
 
 @dataclass(frozen=True)
 class MeasuredImpact:
-    """An impact in a recording.
+    """Impact in a recording.
 
     Attributes
     ----------
     start, stop : int
-        The samples in between are all that the force may act on: the last without force before it, the first
-        without force after it.
+        Last sample without force before the impact, and first sample without force after it.
     peak_n : float
         Largest measured force [N].
     direction_deg : float
-        From x to y, of the force at its largest [degrees].
+        Direction of the largest force, from x to y [degrees].
     pulses : int
-        How often the hammer hit; more than 1 is a double hit.
+        Number of hits; more than 1 is a double hit.
     """
 
     start: int
@@ -46,31 +45,32 @@ class MeasuredImpact:
 
     @property
     def axis(self) -> str:
-        """``"x"`` or ``"y"``, whichever is nearer."""
+        """Nearest axis of the force, ``"x"`` or ``"y"``."""
         folded = abs((self.direction_deg + 90) % 180 - 90)
         return "x" if folded <= 45 else "y"
 
 
 def force_of(recording: Recording, signal: str = "f", axis: str | None = None) -> FloatArray:
-    """Force along x and y.
+    """Return the force along x and y.
 
     Parameters
     ----------
     recording : Recording
+        The recording.
     signal : str
-        Of two channels, or of one with an `axis`.
+        Name of the force, with two channels, or with one channel and `axis`.
     axis : {"x", "y"}, optional
-        Direction of a force of one channel.
+        Direction of a force with one channel.
 
     Returns
     -------
     (n_samples, 2) array
-        [N].
+        Force [N].
 
     Raises
     ------
     DataError
-        When the signal is not there, has another number of channels, or its direction is not known.
+        When the signal is missing, has another number of channels, or its direction is not known.
     """
     force = recording.signal(signal)
     if force.shape[1] == 2:
@@ -79,36 +79,36 @@ def force_of(recording: Recording, signal: str = "f", axis: str | None = None) -
     if force.shape[1] != 1:
         raise DataError(f"{where}; give one along x and one along y, or a single one and its axis")
     if axis not in ("x", "y"):
-        raise DataError(f"{where}; say along which axis: axis='x' or axis='y'")
+        raise DataError(f"{where}; give its direction: axis='x' or axis='y'")
     both = np.zeros((len(force), 2))
     both[:, "xy".index(axis)] = force[:, 0]
     return both
 
 
 def find_impacts(force: FloatArray, sample_time: float, name: str = "recording") -> tuple[MeasuredImpact, ...]:
-    """Find the impacts in a measured force.
+    """Return the impacts in a measured force.
 
     Parameters
     ----------
     force : (n_samples, 2) array
-        [N].
+        Force along x and y [N].
     sample_time : float
-        [s].
+        Time between samples [s].
     name : str
-        Of the recording, for messages.
+        Name of the recording, for messages.
 
     Returns
     -------
     tuple of MeasuredImpact
-        In the order of time.
+        Impacts in the order of time.
 
     Raises
     ------
     DataError
-        When there is none, or one is not whole in the recording.
+        When there is no impact, or when one is not completely in the recording.
     """
     size = np.hypot(*force.T)
-    # the median of |f| is the noise as long as impacts are rare, as they are
+    # Impacts are rare, so the median of |f| gives the noise.
     noise = float(np.median(size)) / 1.1774
     threshold = max(_NOISES * noise, _SHARE * float(size.max()))
     above = np.flatnonzero(size > threshold)
@@ -129,7 +129,7 @@ def find_impacts(force: FloatArray, sample_time: float, name: str = "recording")
 
 
 def _impact(force: FloatArray, size: FloatArray, group: list[IntArray], noise: float, name: str) -> MeasuredImpact:
-    """Widen a group of pulses to the samples that are without force."""
+    """Return the impact of a group of pulses, extended to the samples without force."""
     first, last = int(group[0][0]), int(group[-1][-1])
     quiet = 3.0 * noise
     while first > 0 and size[first] > quiet:
@@ -147,14 +147,14 @@ def _impact(force: FloatArray, size: FloatArray, group: list[IntArray], noise: f
 
 @dataclass(frozen=True, eq=False)
 class Pulse:
-    """Force of one impact between the samples.
+    """Force of one impact, interpolated between the samples.
 
     Attributes
     ----------
     start, stop : int
-        As of the impact.
+        As in `MeasuredImpact`.
     force : (20 (stop - start) + 1, 2) array
-        [N], 20 points to a sample.
+        Force [N] at 20 points per sample.
     """
 
     start: int
@@ -163,17 +163,19 @@ class Pulse:
 
 
 def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pulse, ...]:
-    """Draw the force of each impact through its samples.
+    """Return the force of each impact, interpolated between its samples.
 
-    A pulse has corners between samples, and outside of it the measured force is noise. So a cubic spline goes through
-    the samples inside the pulse alone, and beyond the first and last of these as far as zero. Sums over the samples
-    would miss or add up to 0.8 % of a half-sine of ten samples, by where its corners happen to lie.
+    A pulse has corners between samples, and outside of it the measured force is noise. Therefore a cubic spline is
+    fitted to the samples inside the pulse only. It is continued beyond the first and last of these samples until it
+    reaches zero. Sums over the samples would have errors up to 0.8 % for a half sine of ten samples, depending on the
+    place of its corners.
 
     Parameters
     ----------
     force : (n_samples, 2) array
-        [N].
+        Force along x and y [N].
     impacts : sequence of MeasuredImpact
+        Impacts in this force.
     """
     return tuple(Pulse(impact.start, impact.stop, _between(force, impact)) for impact in impacts)
 
@@ -182,7 +184,7 @@ def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
     fine = np.linspace(impact.start, impact.stop, _FINE * (impact.stop - impact.start) + 1)
     along = np.array([np.cos(np.deg2rad(impact.direction_deg)), np.sin(np.deg2rad(impact.direction_deg))])
     inner = np.arange(impact.start + 1, impact.stop)
-    if impact.pulses > 1 or len(inner) < _SPLINE:  # between hits the force is zero as well: through all samples
+    if impact.pulses > 1 or len(inner) < _SPLINE:  # the force is zero between the hits, so the spline uses all samples
         samples = np.arange(impact.start, impact.stop + 1)
         values = np.array(force[samples])
         values[[0, -1]] = 0.0
@@ -194,7 +196,7 @@ def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
         over = np.flatnonzero(size[outward] <= 0)
         if len(over):
             f[outward[over[0] :]] = 0.0
-        else:  # no zero before the sample without force: a straight line to that one
+        else:  # the spline does not reach zero in time: use a straight line
             f[outward] = f[corner] * np.linspace(1, 0, len(outward))[:, None]
     return f
 
@@ -202,24 +204,27 @@ def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
 def pulse_forcing(
     A: FloatArray, E: FloatArray, pulses: Sequence[Pulse], n_samples: int, sample_time: float
 ) -> FloatArray:
-    r"""Integrate what the force adds to the state from sample to sample.
+    r"""Return the effect of the force on the state from sample to sample.
 
     .. math:: w_k = \int_0^h e^{A (h - s)} E f(t_k + s)\, ds
 
     Parameters
     ----------
     A : (n, n) array
+        System matrix [1/s].
     E : (n, 2) array
-        Where a force per mass enters.
+        Input matrix of a force per mass.
     pulses : sequence of Pulse
+        Forces of the impacts.
     n_samples : int
+        Number of samples.
     sample_time : float
-        h [s].
+        Time between samples h [s].
 
     Returns
     -------
     (n_samples, n) array
-        Row k is what sample k + 1 gets, for a mass of 1 kg.
+        Row k is added to the state at sample k + 1, for a mass of 1 kg.
     """
     fine = discretise(A, E, sample_time / _FINE, "foh")
     forcing = np.zeros((n_samples, len(A)))

@@ -1,4 +1,4 @@
-"""The modes that a ring-down shows: of all modes of a loop those that an impact excites most."""
+"""Dominant modes of a ring-down: the modes of a loop that an impact excites most."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def ringing_modes(
     computation_s: float | None = None,
     entry: FloatArray | None = None,
 ) -> Modes:
-    r"""Find the oscillatory modes that contribute most to the impulse responses from force to position.
+    r"""Return the oscillatory modes that contribute most to the impulse responses from force to position.
 
     A mode with poles :math:`\lambda, \bar\lambda` and residue R contributes
     :math:`2 \mathrm{Re}(R e^{\lambda t})`, of energy about :math:`|R|^2 / |\mathrm{Re} \lambda|`. A bearing has two
@@ -34,18 +34,19 @@ def ringing_modes(
     plant : LinearModel
         Continuous, from r (or u) to p.
     controller : LinearModel, optional
-        From p to r; a sampled one gives the loop as it runs, with the plant's exact delays if it has them.
+        Controller from p to r. A sampled controller gives the modes of the sampled loop, with the exact delays of the
+        plant if it has any.
     count : int
-        How many.
+        Number of modes.
     computation_s : float, optional
         Time from the sample of p to the change of r, sampled controllers only [s]; one sample when not given.
     entry : (n, 2) array, optional
-        Where a force per mass enters the plant.
+        Input matrix of a force per mass; from `force_entry` when not given.
 
     Returns
     -------
     tuple of (frequency_hz, damping)
-        By rising frequency.
+        Modes by rising frequency.
 
     Raises
     ------

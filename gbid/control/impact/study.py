@@ -1,4 +1,4 @@
-"""Impacts at one operating point, in one loop: what the model expects and what the impacts show (Tables 3 and 4)."""
+"""Impact study: expected and measured modes at one operating point in one loop (Tables 3 and 4)."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ from gbid.structure import LinearModel, PiezoPair, evaluate
 
 @dataclass(frozen=True, eq=False)
 class ImpactStudy:
-    """Expected and obtained modes, and measured against simulated responses.
+    """Expected and measured modes, and measured and simulated responses.
 
     Attributes
     ----------
     conditions : dict of str to float
         Operating point.
     loop : str
-        ``"open"``, ``"closed"``, or the name of a further closed loop.
+        ``"open"``, ``"closed"``, or the name of another closed loop.
     model, controller : str
-        Names; the controller's is empty in open loop.
+        Names of model and controller; the latter is empty in open loop.
     expected : tuple of (frequency_hz, damping)
-        Of the model as it is, continuous with first-order Pade delays, as in the paper.
+        Modes of the continuous model with first-order Pade delays, as in the paper.
     expected_running : tuple of (frequency_hz, damping)
-        As the loop runs: sampled controller, one sample for its computation, exact delays. As `expected` in open loop.
+        Modes of the sampled loop: sampled controller, one sample of computation, exact delays. Equal to `expected` in
+        open loop.
     ringdown : RingDown
-        Obtained from the impacts.
+        Modes measured from the impacts.
     validations : tuple of ImpactValidation
-        One for each recording, against the loop as it runs.
+        One for each recording, against the sampled loop.
     figures : tuple of ImpactFigures
-        One for each recording: largest motion of disc and stacks, time until the response is over.
+        One for each recording: largest motion of disc and stacks, decay time.
     """
 
     conditions: Mapping[str, float]
@@ -61,16 +62,16 @@ def study_impacts(
     lags: int | str = "auto",
     loop: str | None = None,
 ) -> ImpactStudy:
-    """Fit the ring-downs of some recordings and compare them with a model.
+    """Return the modes fitted to the ring-downs of some recordings, compared with a model.
 
     Parameters
     ----------
     recordings : sequence of Recording
-        At one operating point, which their conditions state, in one loop.
+        Recordings in one loop at one operating point, which their conditions give.
     model : LPVModel
-        With actuators.
+        Model with actuators.
     controller, sampled : LinearModel, optional
-        The controller that ran, continuous and sampled; open loop without.
+        Controller during the recordings, continuous and sampled; open loop when not given.
     harmonics, lags
         See `fit_ringdown`.
     loop : str, optional

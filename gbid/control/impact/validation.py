@@ -1,4 +1,4 @@
-"""Measured impact responses against simulated ones, and the scaling of the force (paper, Sec. 5.1, Figs. 24 to 27)."""
+"""Validation of simulated impact responses, and identification of the force scale (paper, Sec. 5.1, Figs. 24 to 27)."""
 
 from __future__ import annotations
 
@@ -17,40 +17,41 @@ from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.validate import fit_percent
 
-_DIED_OUT = 0.01  # the response counts until the simulation is below this share of its largest value
-_BEFORE = 25  # samples before an impact that are shown with it
+_DIED_OUT = 0.01  # the response has decayed when the simulation is below this share of its largest value
+_BEFORE = 25  # samples before an impact in a figure
 
 
 @dataclass(frozen=True, eq=False)
 class ImpactValidation:
-    """Measured against simulated response; what `validate_impact` returns.
+    """Measured and simulated response, as `validate_impact` returns them.
 
     Attributes
     ----------
     force_scale : float
         g_f [1/kg], the inverse of the moving mass.
     force_scale_std : float
-        Its standard deviation, from residuals that are correlated in time and from the noise of the force.
+        Its standard deviation [1/kg], from residuals that are correlated in time and from the noise of the force.
     fit_percent : (2,) array
-        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the impacts, offset and harmonics
-        taken out.
+        ``100 (1 - |p - g_f p_s| / |p - mean p|)`` of x and y over the responses to the impacts, without offset and
+        harmonics.
     along_percent : float
-        The same in the direction of the impacts alone.
+        Fit percent of the motion in the direction of the impacts.
     time : (n_samples,) array
-        [s].
+        Time [s].
     measured : (n_samples, 2) array
-        Position as measured, less its offset [m]; unbalance and run-out are in it.
+        Measured position minus its offset, with unbalance and run-out [m].
     stationary : (n_samples, 2) array
-        What of it turns with the shaft [m]; zero at rest.
+        Part of it that is synchronous with the shaft [m]; zero at rest.
     simulated : (n_samples, 2) array
-        ``g_f`` times the simulated non-scaled response [m].
+        ``g_f`` times the simulated response for a mass of 1 kg [m].
     force : (n_samples, 2) array
         Measured force [N].
     windows : tuple of (start, stop)
-        Samples of each impact and the response to it.
+        Sample ranges of each impact with its response.
     impacts : tuple of MeasuredImpact
+        Impacts in the recording.
     harmonics : int
-        Harmonics of the shaft angle that were estimated along.
+        Number of estimated harmonics of the shaft angle.
     recording, loop : str
         Names of the recording and of the loop.
     """
@@ -72,16 +73,16 @@ class ImpactValidation:
 
     @property
     def axis(self) -> str:
-        """``"x"``, ``"y"``, or ``"xy"`` when impacts came from both."""
+        """``"x"``, ``"y"``, or ``"xy"`` when there are impacts along both axes."""
         return "".join(sorted({impact.axis for impact in self.impacts}))
 
     def window(self, impact: int = 0) -> slice:
-        """Give the samples to show of one impact: a little before it until the response has died out.
+        """Return the samples of one impact for a figure, from a little before it until the response has decayed.
 
         Parameters
         ----------
         impact : int
-            Its number, counted from 0.
+            Number of the impact, from 0.
         """
         start, stop = self.windows[impact]
         return slice(max(0, start - _BEFORE), stop)
@@ -99,31 +100,32 @@ def validate_impact(
     computation_s: float | None = None,
     entry: FloatArray | None = None,
 ) -> ImpactValidation:
-    r"""Scale the force, and compare measured with simulated impact responses (paper, Sec. 5.1).
+    r"""Return the force scale, and measured and simulated impact responses (paper, Sec. 5.1).
 
-    g_f comes from linear least squares between measured and simulated non-scaled response, :math:`p = g_f\, G_b f`
-    (Eq. 8) or :math:`p = g_f\, S_o G_b f`; an offset and, when the shaft turns, harmonics of its angle are estimated
-    along.
+    g_f is the linear least-squares factor between the measured response and the simulated response for a mass of 1
+    kg, :math:`p = g_f\, G_b f` (Eq. 8) or :math:`p = g_f\, S_o G_b f`. An offset and, when the shaft turns, harmonics
+    of its angle are estimated together with it.
 
     Parameters
     ----------
     recording : Recording
-        With position, force of the hammer and, when the shaft turns, its angle `phi`.
+        Recording with position, force of the hammer and, when the shaft turns, its angle `phi`.
     plant : LinearModel
-        Continuous, from r (or u) to p: `LPVModel.plant_at`, or `gbid.control.exact_plant` for a sampled controller.
+        Continuous plant, from r (or u) to p: `LPVModel.plant_at`, or `gbid.control.exact_plant` for a sampled
+        controller.
     controller : LinearModel, optional
-        That ran during the recording; open loop when not given. A continuous one gives the loop of the paper, a sampled
-        one (`gbid.control.sample_controller`) the loop as it runs.
+        Controller during the recording; open loop when not given. A continuous controller gives the loop of the
+        paper, a sampled one (`gbid.control.sample_controller`) gives the sampled loop.
     position, force : str
-        Signals.
+        Names of the signals.
     axis : {"x", "y"}, optional
-        Direction of a force of one channel.
+        Direction of a force with one channel.
     harmonics : int, optional
-        10 when the shaft turns and nothing is given.
+        Number of harmonics; by default 10 when the shaft turns.
     computation_s : float, optional
-        Time from the sample of p to the change of r, sampled controllers only [s]; one sample when not given.
+        Time from the sample of p to the change of r, for sampled controllers only [s]; one sample when not given.
     entry : (n, 2) array, optional
-        Where a force per mass enters the plant; found by `gbid.control.force_entry` when not given.
+        Input matrix of a force per mass; from `gbid.control.force_entry` when not given.
 
     Returns
     -------
@@ -132,9 +134,9 @@ def validate_impact(
     Raises
     ------
     DataError
-        When the recording has no impact, or a signal is missing or of another shape.
+        When the recording has no impact, or when a signal is missing or of another shape.
     UsageError
-        When models do not fit together, or the loop is unstable.
+        When models do not fit together, or when the loop is unstable.
     """
     h, n = recording.sample_time, recording.n_samples
     f = force_of(recording, force, axis)
@@ -180,7 +182,7 @@ def validate_impact(
 
 
 def _windows(response: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[tuple[int, int], ...]:
-    """From each impact until the response to it has died out, at the latest until the next impact."""
+    """Return the samples from each impact until its response has decayed, or until the next impact."""
     size = np.hypot(*response.T)
     windows = []
     for impact, end in zip(impacts, [*(b.start for b in impacts[1:]), len(size)], strict=True):
@@ -200,7 +202,7 @@ def _scale_std(
     windows: Sequence[tuple[int, int]],
     h: float,
 ) -> float:
-    """Estimate the standard deviation of g_f from the residuals and (they show it in part only) the force's noise."""
+    """Return the standard deviation of g_f from the residuals and from the noise of the force."""
     used = np.ones(len(free), dtype=bool)
     memory = autocovariance([residual], [used], round(MEMORY_S / h))
     from_position = float(sandwich([free[:, :, None]], memory)[0, 0]) / float((free**2).sum()) ** 2

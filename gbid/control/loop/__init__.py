@@ -1,1 +1,1 @@
-"""Closed loops and their figures: sensitivities, peak gains, margins, damping, and the loop as it runs sampled."""
+"""Closed loops: sensitivities, peak gains, margins, damping, and the sampled loop."""

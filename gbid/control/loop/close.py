@@ -1,4 +1,4 @@
-"""Closing the loop around a plant."""
+"""Closed loop of a plant and a controller."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from gbid.structure import LinearModel
 
 
 def close_loop(plant: LinearModel, controller: LinearModel) -> LinearModel:
-    r"""Close the loop in the paper's sign, ``r = K p`` (Eqs. 21 and 22): positive feedback.
+    """Return the closed loop with the sign of the paper, ``r = K p`` (Eqs. 21 and 22): positive feedback.
 
-    The controller's output is added to the plant's input as it is, so negative feedback needs a controller
-    with the minus sign in it. From an external input w added at the plant's input,
+    The output of the controller is added to the input of the plant without a change of sign. So negative feedback
+    needs a controller that contains the minus sign. For an external input w at the input of the plant,
 
     .. math:: p = G (w + K p) = (I - G K)^{-1} G w = S_o G w
 
@@ -27,18 +27,18 @@ def close_loop(plant: LinearModel, controller: LinearModel) -> LinearModel:
     -------
     LinearModel
         ``S_o G``, from w to p; states of the plant, then of the controller. Disturbance gains (`K` of either
-        model) are left out: they describe prediction errors, which a loop in operation does not have.
+        model) are left out, because they describe prediction errors of a fit.
 
     Raises
     ------
     UsageError
-        When sizes, channel names or sample times do not fit together, or the loop is not well posed: the
-        direct feedthroughs cancel the input (``I - D_K D_G`` singular).
+        When sizes, channel names or sample times do not fit together, or when the loop is not well posed
+        (``I - D_K D_G`` is singular).
     """
     _check_fit(plant, controller)
     n_r = plant.B.shape[1]
     direct = np.eye(n_r) - controller.D @ plant.D
-    # relative to the entries that cancelled, not to what is left of them
+    # the tolerance is relative to the terms that may cancel, not to their sum
     scale = 1.0 + float(np.abs(controller.D) @ np.abs(plant.D) @ np.ones(n_r) @ np.ones(n_r))
     if np.linalg.svd(direct, compute_uv=False)[-1] <= 1e-12 * scale:
         raise UsageError(

@@ -1,4 +1,4 @@
-"""Curves of a loop for pictures: paper, Figs. 20 and 21."""
+"""Frequency response curves of a loop (paper, Figs. 20 and 21)."""
 
 from __future__ import annotations
 
@@ -20,6 +20,7 @@ class SensitivityData:
     Attributes
     ----------
     frequency_hz : (n_frequencies,) array
+        Frequencies [Hz].
     output : (n_frequencies, 2, 2) array
         S_o (Fig. 20).
     control : (n_frequencies, 2, 2) array
@@ -48,14 +49,14 @@ class SensitivityData:
 def sensitivity_data(
     plant: LinearModel, controller: LinearModel, frequency_hz: npt.ArrayLike | None = None
 ) -> SensitivityData:
-    """Compute the curves of Figs. 20 and 21.
+    """Return the curves of Figs. 20 and 21.
 
     Parameters
     ----------
     plant, controller : LinearModel
         G from r to p (exact delays allowed) and K from p to r.
     frequency_hz : (n_frequencies,) array, optional
-        Frequencies [Hz]; 600 from 1 to 1000 Hz when not given, even in the logarithm.
+        Frequencies [Hz]; by default 600 from 1 to 1000 Hz with logarithmic spacing.
 
     Returns
     -------
@@ -64,7 +65,7 @@ def sensitivity_data(
     Raises
     ------
     UsageError
-        When the two do not form a loop, or frequencies are not finite.
+        When the two do not form a loop, or when frequencies are not finite.
     """
     f = np.geomspace(1.0, 1000.0, 600) if frequency_hz is None else np.atleast_1d(np.asarray(frequency_hz, float))
     loop = sensitivities(plant, controller)

@@ -9,14 +9,14 @@ from gbid.structure import LinearModel
 
 
 def smallest_damping(model: LinearModel) -> float:
-    """Return the smallest damping factor over all modes; -1 where a real pole grows, infinite without modes.
+    """Return the smallest damping factor over all modes; -1 for an unstable real pole, infinite without modes.
 
     Parameters
     ----------
     model : LinearModel
-        In continuous time, or sampled: then over the modes that last longer than a sample,
-        ``|eigenvalue| > 1/e``. What dies out within a sample, most of it the delays' own modes, has a damping factor
-        but does not ring.
+        Model in continuous time, or sampled. Of a sampled model only modes that last longer than a sample count,
+        ``|eigenvalue| > 1/e``. Faster modes, most of them from the delays, have a damping factor but do not oscillate
+        visibly.
     """
     poles = model.poles()
     real = poles[is_real(poles)].real

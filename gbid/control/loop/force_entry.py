@@ -1,4 +1,4 @@
-"""Where a force on the rotor enters a model: without delay and actuators (paper, Sec. 5.1)."""
+"""Input matrix of a force on the rotor, which acts without delay and actuators (paper, Sec. 5.1)."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from gbid.structure import LinearModel
 
 
 def force_entry(plant: LinearModel) -> FloatArray:
-    r"""Find the states that a force per mass on the rotor drives.
+    r"""Return the input matrix of a force per mass on the rotor.
 
     Parameters
     ----------
     plant : LinearModel
-        Continuous, its outputs positions that are states themselves, their derivatives states as well: any model
-        of `gbid.RotorBearing` or `gbid.Plant` with the output p.
+        Continuous model. Its outputs must be positions that are states, and their derivatives must be states as well:
+        any model of `gbid.RotorBearing` or `gbid.Plant` with the output p.
 
     Returns
     -------
@@ -26,7 +26,7 @@ def force_entry(plant: LinearModel) -> FloatArray:
     Raises
     ------
     UsageError
-        When positions and velocities cannot be told from the matrices, or the model is sampled.
+        When positions and velocities cannot be identified in the matrices, or when the model is sampled.
     """
     where = f"force on model {plant.name!r}"
     if plant.dt is not None:
@@ -37,7 +37,7 @@ def force_entry(plant: LinearModel) -> FloatArray:
         velocity = None if position is None else _only_one(plant.A[position])
         if velocity is None or plant.D[i].any():
             raise UsageError(
-                f"{where}: output {plant.output_names[i]!r} is no position whose velocity is a state; "
+                f"{where}: output {plant.output_names[i]!r} is not a position whose velocity is a state; "
                 "give the entry of the force yourself"
             )
         entry[velocity, i] = 1.0
@@ -45,24 +45,25 @@ def force_entry(plant: LinearModel) -> FloatArray:
 
 
 def static_force_gain(plant: LinearModel, entry: FloatArray | None = None) -> FloatArray:
-    """Steady motion per force and mass, references held: the compliance of the open loop times the mass.
+    """Return the static motion per force and mass with constant references: the open-loop compliance times the mass.
 
     Parameters
     ----------
     plant : LinearModel
+        Continuous model.
     entry : (n, n_outputs) array, optional
-        See `force_entry`.
+        Input matrix of a force per mass; see `force_entry`.
 
     Returns
     -------
     (n_outputs, n_outputs) array
-        [m kg/N].
+        Static gain [m kg/N].
     """
     E = force_entry(plant) if entry is None else entry
     return np.asarray(-plant.C @ np.linalg.solve(plant.A, E))
 
 
 def _only_one(row: FloatArray) -> int | None:
-    """Return the place of a row's only entry if that is one."""
+    """Return the index of the only nonzero entry of a row, if that entry is 1."""
     places = np.flatnonzero(row)
     return int(places[0]) if len(places) == 1 and row[places[0]] == 1.0 else None

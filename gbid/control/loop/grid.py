@@ -1,4 +1,4 @@
-"""Frequencies that follow a model's poles."""
+"""Frequency grid adapted to the poles of a model."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from gbid.structure import LinearModel
 
 
 def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:
-    """Frequencies that follow a model's poles: even in the logarithm, and dense around each oscillatory pole.
+    """Return frequencies with logarithmic spacing, and dense around each oscillatory pole.
 
     Parameters
     ----------
     model : LinearModel
+        The model.
     n : int
-        Number of those even in the logarithm.
+        Number of frequencies with logarithmic spacing.
 
     Returns
     -------
     (n_frequencies,) array
-        Rising, from 0 [Hz]; up to ten times the fastest pole, or half the sampling frequency.
+        Frequencies from 0 [Hz], ascending, up to ten times the fastest pole or half the sampling frequency.
     """
     poles = model.poles()
     rates = np.abs(poles)[np.isfinite(poles) & (np.abs(poles) > 0)] / (2 * np.pi)

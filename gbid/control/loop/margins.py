@@ -1,4 +1,4 @@
-"""How far a loop is from instability: disk margins, classical margins; what it amplifies at rest."""
+"""Stability margins of a loop: disk margins, classical margins, and static amplification."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ Side = Literal["output", "input"]
 
 @dataclass(frozen=True)
 class DiskMargin:
-    """Balanced disk margin: how much every loop gain may change, in size and phase.
+    """Balanced disk margin: simultaneous changes of gain and phase that a loop tolerates.
 
     Attributes
     ----------
     alpha : float
-        Size of the disk, 0 for an unstable loop; 2 is the largest possible with a plant that falls off.
+        Size of the disk, 0 for an unstable loop; at most 2 for a strictly proper loop gain.
     gain : (float, float)
-        Factors on the loop gain that the loop survives, ``(2 - alpha)/(2 + alpha)`` and its inverse.
+        Tolerated factors on the loop gain, ``(2 - alpha)/(2 + alpha)`` and its inverse.
     phase_deg : float
-        Phase, of either sign, that it survives [degrees]: ``2 arctan(alpha / 2)``.
+        Tolerated phase of either sign [degrees]: ``2 arctan(alpha / 2)``.
     frequency_hz : float
-        Where the loop is closest to instability.
+        Frequency at which the loop is closest to instability [Hz].
     """
 
     alpha: float
@@ -47,11 +47,11 @@ class LoopMargins:
     Attributes
     ----------
     gain : (float, float)
-        Range of factors on the loop gain around 1 that keep it stable; 0 and infinity where there is no limit.
+        Range of factors on the loop gain around 1 that keep it stable; 0 and infinity when there is no limit.
     phase_deg : float
-        Smallest phase, of either sign, that makes it unstable [degrees]; infinite where none does.
+        Smallest phase of either sign that makes it unstable [degrees]; infinite when there is none.
     delay_s : float
-        Smallest extra delay that makes it unstable [s].
+        Smallest additional delay that makes it unstable [s].
     """
 
     gain: tuple[float, float]
@@ -60,13 +60,14 @@ class LoopMargins:
 
 
 def disk_margin(loop: Sensitivities, at: Side = "output") -> DiskMargin:
-    r"""Find the disk margin against changes of all loops at once, each with its own.
+    r"""Return the disk margin against independent changes of all loops at once.
 
     Parameters
     ----------
     loop : Sensitivities
+        The loop.
     at : {"output", "input"}
-        Whether the changes are at the positions p or at the references r.
+        Place of the changes: the positions p or the references r.
 
     Returns
     -------
@@ -74,27 +75,28 @@ def disk_margin(loop: Sensitivities, at: Side = "output") -> DiskMargin:
 
     Notes
     -----
-    Seiler, Packard and Gahinet (2020), balanced (skew 0): the loop withstands every
+    Seiler, Packard and Gahinet (2020), balanced (skew 0): the loop tolerates every
     :math:`f_i = (1 + \delta_i / 2)/(1 - \delta_i / 2)`, :math:`|\delta_i| < \alpha`, in each channel,
 
     .. math:: \alpha = 2 \big/ \max_\omega \mu(S - T), \quad T = I - S.
 
-    For two channels the structured singular value of a diagonal change is its upper bound
-    :math:`\min_D \bar\sigma(D M D^{-1})`, which has a closed form: the determinant does not change with D and the
-    sum of squares is least, :math:`|m_{11}|^2 + |m_{22}|^2 + 2 |m_{12} m_{21}|`, where both off-diagonal entries
-    weigh the same. For more than two the largest singular value is taken, which is on the safe side.
+    For two channels the structured singular value of a diagonal change equals its upper bound :math:`\min_D
+    \bar\sigma(D M D^{-1})`, which has a closed form: the determinant does not depend on D, and the sum of squares has
+    its minimum :math:`|m_{11}|^2 + |m_{22}|^2 + 2 |m_{12} m_{21}|` when both scaled off-diagonal entries have equal
+    magnitude. For more than two channels the largest singular value is used, which is conservative.
     """
     return _disk(loop, lambda f: structured_singular_values(_balanced(loop, f, at)))
 
 
 def disk_margins_by_loop(loop: Sensitivities, at: Side = "output") -> tuple[DiskMargin, ...]:
-    """Find the disk margin of each loop alone, the others unchanged.
+    """Return the disk margin of each loop alone, with the others unchanged.
 
     Parameters
     ----------
     loop : Sensitivities
+        The loop.
     at : {"output", "input"}
-        Whether the changes are at the positions p or at the references r.
+        Place of the changes: the positions p or the references r.
 
     Returns
     -------
@@ -106,23 +108,22 @@ def disk_margins_by_loop(loop: Sensitivities, at: Side = "output") -> tuple[Disk
 
 
 def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins, ...]:
-    r"""Find gain, phase and delay margins of each loop, the others closed.
+    r"""Return the gain, phase and delay margins of each loop, with the others closed.
 
     Parameters
     ----------
     loop : Sensitivities
+        The loop.
     at : {"output", "input"}
-        Where each loop is opened.
+        Place where each loop is opened.
 
     Returns
     -------
     tuple of LoopMargins
-        One per channel; of an unstable loop the gains are (1, 1) and the others 0.
+        One per channel; for an unstable loop the gains are (1, 1) and the others 0.
 
-    Notes
-    -----
-    Opened at channel i, the loop gain is :math:`L_i = 1 - 1/S_{ii}`; in the paper's sign the loop is unstable
-    where :math:`g\, e^{\mathrm i\varphi} L_i = 1`.
+    Notes ----- Opened at channel i, the loop gain is :math:`L_i = 1 - 1/S_{ii}`. With the sign of the paper the loop
+    becomes unstable where :math:`g\, e^{\mathrm i\varphi} L_i = 1`.
     """
     if not loop.is_stable():
         return (LoopMargins((1.0, 1.0), 0.0, 0.0),) * _channels(loop, at)
@@ -132,30 +133,32 @@ def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins,
 
 
 def static_amplification(loop: Sensitivities) -> float:
-    """Return the largest singular value of S_o at rest: how much a steady disturbance of p grows by the loop.
+    """Return the largest singular value of S_o at zero frequency: the amplification of a static disturbance of p.
 
     Parameters
     ----------
     loop : Sensitivities
+        The loop.
     """
     return float(np.linalg.norm(loop.response("output", 0.0)[0].real, 2))
 
 
 def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
-    r"""Compare the static stiffness of the closed loop with that of the open one, axis by axis.
+    """Return the static stiffness of the closed loop over that of the open loop, axis by axis.
 
-    A steady force on the rotor (without delay and actuators) moves the open loop by :math:`p = G_f f` and the closed
-    one by :math:`S_o(0) G_f f`. The ratio is that of the diagonals, open over closed: the force per motion along its
-    own axis that is left; below 1 the loop is softer.
+    A static force on the rotor (without delay and actuators) moves the open loop by :math:`p = G_f f` and the closed
+    loop by :math:`S_o(0) G_f f`. The ratio is that of the diagonals, open over closed. Below 1 the closed loop is
+    softer.
 
     Parameters
     ----------
     loop : Sensitivities
-        Of a continuous plant.
+        Loop with a continuous plant.
 
     Returns
     -------
     (n_outputs,) array
+        Stiffness ratios.
 
     Raises
     ------
@@ -167,22 +170,24 @@ def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
 
 
 def slow_poles(loop: Sensitivities, slower_than_hz: float = 20.0) -> FloatArray:
-    """Find poles that creep: real ones and well damped pairs that decay slower than a bound.
+    """Return slow poles: real poles and well damped pairs whose decay rate is below a bound.
 
-    Near static instability positive feedback has cancelled the stiffness, and the rotor creeps back. A damping factor
-    does not see that: it knows no real poles, and is close to 1 where two of them meet and leave the axis as a pair.
+    Near static instability positive feedback has cancelled the stiffness, and the rotor returns slowly. A damping
+    factor does not show this: it is not defined for real poles, and it is close to 1 where two real poles become a
+    complex pair.
 
     Parameters
     ----------
     loop : Sensitivities
+        The loop.
     slower_than_hz : float
-        Bound ``2 pi slower_than_hz`` on the decay rate.
+        The bound on the decay rate is ``2 pi slower_than_hz`` [rad/s].
 
     Returns
     -------
     (n_found,) array
         Rates ``-Re(pole)`` [rad/s], slowest first, of the poles with ``|Im| <= |Re|`` below the bound, a pair once;
-        negative where one grows.
+        negative for an unstable pole.
     """
     poles = loop.poles
     creeping = poles[(poles.imag >= 0) & (poles.imag <= np.abs(poles.real))]
@@ -242,7 +247,7 @@ def _margins_of(loop: Sensitivities, at: Side, i: int, grid: FloatArray, S: Comp
 
 
 def _zeros(function: object, grid: FloatArray, values: FloatArray) -> list[float]:
-    """Return where a real function changes its sign between grid points."""
+    """Return the places between grid points where a real function changes its sign."""
     signs = np.sign(values)
     changes = np.flatnonzero(signs[1:] * signs[:-1] < 0)
     return [float(brentq(function, grid[k], grid[k + 1], xtol=1e-12, rtol=1e-14)) for k in changes]

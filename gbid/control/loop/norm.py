@@ -1,4 +1,4 @@
-"""The largest singular value of a transfer matrix over all frequencies (H-infinity norm), exactly."""
+"""H-infinity norm: largest singular value of a transfer matrix over all frequencies, computed exactly."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from gbid.structure import LinearModel
 
 
 class Peak(NamedTuple):
-    """Largest gain and where it lies.
+    """Largest gain over frequency, and its frequency.
 
     Attributes
     ----------
     value : float
-        Infinite for an unstable model.
+        Largest gain; infinite for an unstable model.
     frequency_hz : float
-        Frequency [Hz]; infinite where the gain grows towards high frequencies, NaN for an unstable model.
+        Frequency [Hz]; infinite when the largest gain is the limit at high frequency, NaN for an unstable model.
     """
 
     value: float
@@ -30,37 +30,37 @@ class Peak(NamedTuple):
 
 
 def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
-    r"""Find the H-infinity norm, the largest singular value over all frequencies.
+    r"""Return the H-infinity norm, the largest singular value over all frequencies.
 
     Parameters
     ----------
     model : LinearModel
         Continuous without exact delays, or sampled.
     tolerance : float
-        Relative; no frequency has a gain larger by more than twice this.
+        Relative tolerance; no frequency has a gain that is larger by more than twice this.
 
     Returns
     -------
     Peak
-        Of the transfer matrix from all inputs to all outputs; infinite when the model is not stable.
+        Norm of the transfer matrix from all inputs to all outputs; infinite when the model is not stable.
 
     Raises
     ------
     UsageError
-        For a model with exact delays (`gbid.control.Sensitivities.peak` takes them).
+        When the model has exact delays (use `gbid.control.Sensitivities.peak`).
 
     Notes
     -----
-    Bruinsma and Steinbuch (1990): :math:`\gamma` is a singular value of :math:`G(\mathrm i\omega)` exactly where
+    Bruinsma and Steinbuch (1990): :math:`\gamma` is a singular value of :math:`G(\mathrm i\omega)` exactly when
     the Hamiltonian matrix
 
     .. math:: H_\gamma = \begin{bmatrix} F & B R^{-1} B^T \\ -C^T (I + D R^{-1} D^T) C & -F^T \end{bmatrix},
               \quad R = \gamma^2 I - D^T D, \quad F = A + B R^{-1} D^T C,
 
-    has an eigenvalue :math:`\mathrm i\omega`. From a lower bound the crossings give intervals whose middles give a
-    better one, until there are none above it. The first lower bound is the largest gain at the frequencies of the
-    poles, refined, so that one eigenvalue problem mostly settles it. A sampled model is mapped to a continuous one by
-    the bilinear transform, which keeps the norm.
+    has an eigenvalue :math:`\mathrm i\omega`. For a lower bound these frequencies form intervals, and the middles of
+    the intervals give a better bound. This is repeated until no frequency is found. The first lower bound is the
+    largest gain at the frequencies of the poles, so that one eigenvalue problem is usually enough. A sampled model is
+    mapped to a continuous one by the bilinear transform, which does not change the norm.
     """
     if model.delay is not None:
         raise UsageError(f"model {model.name!r} has exact delays; its peak follows from frequency responses only")
@@ -75,7 +75,7 @@ def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
 
 
 def largest_singular_values(matrices: ComplexArray) -> FloatArray:
-    """Return the largest singular value of each of a stack of matrices (..., n, m); two by two in closed form."""
+    """Return the largest singular value of each matrix of a stack (..., n, m); closed form for two by two matrices."""
     if matrices.shape[-2:] != (2, 2):
         return np.asarray(np.linalg.svd(matrices, compute_uv=False)[..., 0])
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
@@ -84,25 +84,25 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
 
 
 def larger_of_two(squares: FloatArray, determinant: FloatArray) -> FloatArray:
-    """Return the larger singular value from the sum of their squares and their product."""
+    """Return the larger of two singular values from the sum of their squares and their product."""
     return np.asarray(0.5 * (np.sqrt(squares + 2 * determinant) + np.sqrt(np.maximum(squares - 2 * determinant, 0.0))))
 
 
 def refine_maxima(
     function: Callable[[FloatArray], FloatArray], grid: FloatArray, candidates: int = 4, rounds: int = 4
 ) -> tuple[float, float]:
-    """Find the largest value of a function of frequency from a grid and a zoom into its best local maxima.
+    """Return the largest value of a function of frequency, from a grid and refinement of its best local maxima.
 
     Parameters
     ----------
     function : callable
         From frequencies (n,) to values (n,).
     grid : (n,) array
-        Rising; its ends count too.
+        Frequencies, ascending; the ends count as well.
     candidates : int
-        How many of the highest local maxima are looked into.
+        Number of the highest local maxima that are refined.
     rounds : int
-        Each narrows the bracket eightfold around the best of 17 points; a parabola through the last three ends it.
+        Number of refinements; each reduces the bracket eightfold around the best of 17 points.
 
     Returns
     -------
@@ -130,7 +130,7 @@ def refine_maxima(
 
 
 def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float) -> tuple[float, float]:
-    """Largest gain of a stable continuous model and its angular frequency."""
+    """Return the largest gain of a stable continuous model, and its angular frequency."""
     at_infinity = float(np.linalg.norm(D, 2)) if D.size else 0.0
     if not len(A) or not B.any() or not C.any():
         return at_infinity, 0.0
@@ -159,7 +159,7 @@ def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, toleran
         edges = np.unique(np.concatenate([[0.0], crossings]))
         middles = np.concatenate([edges, (edges[1:] + edges[:-1]) / 2])
         found = gains(middles)
-        if found.max() <= gamma:  # crossings by rounding only: the curve touches gamma from below
+        if found.max() <= gamma:  # the crossings come from rounding: the curve does not exceed gamma
             if found.max() > best:
                 best, w_best = float(found.max()), float(middles[found.argmax()])
             break
@@ -168,7 +168,7 @@ def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, toleran
 
 
 def _vertex(gains: Callable[[FloatArray], FloatArray], best: float, w: float) -> tuple[float, float]:
-    """Take the last digits from the parabola through three points."""
+    """Return the maximum refined by the parabola through three points."""
     if not 0 < w < inf:
         return best, w
     step = 1e-4 * w
@@ -182,7 +182,7 @@ def _vertex(gains: Callable[[FloatArray], FloatArray], best: float, w: float) ->
 
 
 def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma: float) -> FloatArray:
-    """Angular frequencies at which a singular value may equal gamma; some may be so by rounding."""
+    """Return angular frequencies at which a singular value may equal gamma; rounding may add some."""
     R = gamma**2 * np.eye(D.shape[1]) - D.T @ D
     weighted = np.linalg.solve(R, np.hstack([B.T, D.T @ C]))
     BRB, RDC = B @ weighted[:, : len(A)], weighted[:, len(A) :]
@@ -199,7 +199,7 @@ def _crossings(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, gamma
 def _bilinear(
     A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Continuous model with ``G_c((z - 1)/(z + 1)) = G(z)``: the same gains, ``w = tan(theta / 2)``."""
+    """Return the continuous model with ``G_c((z - 1)/(z + 1)) = G(z)``: equal gains at ``w = tan(theta / 2)``."""
     eye = np.eye(len(A))
     plus = np.linalg.inv(A + eye)
     return (A - eye) @ plus, np.sqrt(2) * plus @ B, np.sqrt(2) * C @ plus, D - C @ plus @ B

@@ -1,4 +1,4 @@
-"""The loop as it runs: a sampled controller, a computation that takes time, a plant with exact delays."""
+"""Sampled loop: a sampled controller with computation time, and a plant with exact delays."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 
 @dataclass(frozen=True, eq=False)
 class SampledLoop:
-    """A loop between samples of p and held references r.
+    """Sampled loop, from samples of p to held references r.
 
     Attributes
     ----------
     plant : LinearModel
-        Sampled, delays and computation in it.
+        Sampled plant, with delays and computation time.
     controller : LinearModel
-        Sampled.
+        Sampled controller.
     closed : LinearModel
         S_o G of the two.
     damping : float
         Smallest damping factor of the oscillatory modes that last longer than a sample, see
-        `gbid.control.smallest_damping`; negative when one grows.
+        `gbid.control.smallest_damping`; negative when the loop is unstable.
     modes : tuple of (frequency_hz, damping)
-        All of them, ``log(eigenvalue) / T_s``, by rising frequency.
+        All oscillatory modes, from ``log(eigenvalue) / T_s``, by rising frequency.
     stable : bool
+        Whether the loop is stable.
     peak_output : Peak
-        Largest singular value of S_o between samples of p, up to half the sampling frequency.
+        Largest singular value of S_o for samples of p, up to half the sampling frequency.
     """
 
     plant: LinearModel
@@ -50,25 +51,27 @@ class SampledLoop:
 
 
 def exact_plant(lpv: LPVModel, pressure_bar: float, speed_rpm: float) -> LinearModel:
-    """Whole plant from r to p at one operating point, its delays exact.
+    """Return the whole plant from r to p at one operating point, with exact delays.
 
     Parameters
     ----------
     lpv : LPVModel
+        Model with actuators.
     pressure_bar, speed_rpm : float
+        Operating point [bar], [rpm].
 
     Returns
     -------
     LinearModel
-        Continuous, as `LPVModel.plant_at` but for the delays; frequency responses, `sample_plant` and
-        `gbid.with_pade` take it.
+        Continuous plant, equal to `LPVModel.plant_at` but for the delays. Frequency responses, `sample_plant` and
+        `gbid.with_pade` accept it.
 
     Raises
     ------
     UsageError
-        As `LPVModel.plant_at`.
+        As for `LPVModel.plant_at`.
     """
-    name = lpv.plant_at(pressure_bar, speed_rpm).name  # refuses what it refuses
+    name = lpv.plant_at(pressure_bar, speed_rpm).name  # raises the errors of plant_at
     values = {**lpv.actuators, **lpv.key_parameters(float(pressure_bar), float(speed_rpm))}
     structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
     return replace(evaluate(structure, values, ("r_x", "r_y"), ("p_x", "p_y")), name=f"{name}, exact delays")
@@ -82,20 +85,20 @@ def sampled_loop(
     computation_s: float | None = None,
     method: Method = "tustin",
 ) -> SampledLoop:
-    """Close the loop as it runs on a real-time target.
+    """Return the sampled loop, as on a real-time target.
 
     Parameters
     ----------
     plant : LinearModel
-        Continuous; with exact delays for the true loop, see `exact_plant`.
+        Continuous plant; with exact delays for the true loop, see `exact_plant`.
     controller : LinearModel
-        Continuous, or sampled at the same time.
+        Continuous controller, or sampled with the same sample time.
     sample_time : float
         T_s [s]; 0.2 ms in the paper.
     computation_s : float, optional
         Time from the sample of p to the change of r [s]; one sample when not given.
     method : {"tustin", "zoh"}
-        How a continuous controller is sampled, see `sample_controller`.
+        Method of discretisation of a continuous controller, see `sample_controller`.
 
     Returns
     -------
@@ -104,7 +107,7 @@ def sampled_loop(
     Raises
     ------
     UsageError
-        As `sample_plant`, `sample_controller` and `gbid.close_loop`.
+        As for `sample_plant`, `sample_controller` and `gbid.close_loop`.
     """
     discrete = controller if controller.dt is not None else sample_controller(controller, sample_time, method)
     held = sample_plant(plant, sample_time, sample_time if computation_s is None else computation_s)

@@ -1,4 +1,4 @@
-"""Plants and controllers between samples: exact for the plant, by rule for the controller."""
+"""Discretisation of plants (exact) and controllers (Tustin or zero-order hold)."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ Method = Literal["tustin", "zoh"]
 
 
 def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 0.0) -> LinearModel:
-    """Sample a plant with held inputs, exact delays and the time that the computation takes, without approximation.
+    """Return the exact discretisation of a plant with held inputs, exact delays and computation time.
 
     Parameters
     ----------
     plant : LinearModel
-        Continuous; may have exact delays.
+        Continuous plant; may have exact delays.
     sample_time : float
         T_s [s].
     computation_s : float
-        Time from the sample of p to the change of r [s]; all inputs enter later by it.
+        Time from the sample of p to the change of r [s]; all inputs are delayed by it.
 
     Returns
     -------
     LinearModel
-        Sampled; inputs that are still on their way are states.
+        Sampled plant; earlier inputs that still have an effect are states.
 
     Raises
     ------
     UsageError
-        For a sampled plant, a sample time that is not positive or a negative computation time.
+        When the plant is sampled already, when the sample time is not positive, or when the computation time is
+        negative.
     """
     if plant.dt is not None:
         raise UsageError(f"model {plant.name!r} is sampled already, at {plant.dt:g} s")
@@ -46,7 +47,7 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
     if not (isfinite(computation_s) and computation_s >= 0):
         raise UsageError(f"sampling of {plant.name!r}: computation_s = {computation_s} s; it must not be negative")
     A, n_u = np.array(plant.A), plant.B.shape[1]
-    prompt = ceil(computation_s / sample_time - 1e-9)  # samples until D u sees the new value
+    prompt = ceil(computation_s / sample_time - 1e-9)  # delay of the direct feedthrough D u in samples
     weights: dict[tuple[int, int], FloatArray] = {}  # (samples back, input) -> column of the states
     for i in range(n_u):
         parts = [(plant.B[:, [i]], 0.0)]
@@ -56,7 +57,7 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
             if not column.any():
                 continue
             late = (delay + computation_s) / sample_time
-            late = round(late) if abs(late - round(late)) < 1e-9 else late  # whole samples stay whole
+            late = round(late) if abs(late - round(late)) < 1e-9 else late  # avoids rounding errors at whole samples
             shift, taps = delayed_taps(A, column, late * sample_time, sample_time, "zoh")
             for j, tap in enumerate(taps):
                 if np.any(tap):
@@ -67,17 +68,17 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
 
 
 def sample_controller(controller: LinearModel, sample_time: float, method: Method = "tustin") -> LinearModel:
-    """Sample a controller.
+    """Return a sampled controller.
 
     Parameters
     ----------
     controller : LinearModel
-        Continuous.
+        Continuous controller.
     sample_time : float
         T_s [s].
     method : {"tustin", "zoh"}
-        The trapezoidal rule, which takes p as straight lines and adds no delay of its own, or p held over each
-        sample, which adds half a sample.
+        The trapezoidal rule (Tustin), which interpolates p linearly and adds no delay, or zero-order hold of p, which
+        adds a delay of half a sample.
 
     Returns
     -------
@@ -86,7 +87,7 @@ def sample_controller(controller: LinearModel, sample_time: float, method: Metho
     Raises
     ------
     UsageError
-        For an unknown method, a sampled controller, or a sample time that is not positive.
+        When the method is unknown, when the controller is sampled already, or when the sample time is not positive.
     """
     if method == "zoh":
         return controller.discretise(sample_time)
@@ -114,7 +115,7 @@ def _with_registers(
     depth: int,
     sample_time: float,
 ) -> LinearModel:
-    """Append shift registers: the state after x holds u[k-1], u[k-2], ..., u[k-depth]."""
+    """Return the plant with shift registers: the states after x are u[k-1], u[k-2], ..., u[k-depth]."""
     n, n_u = len(F), plant.B.shape[1]
     A = np.zeros((n + depth * n_u,) * 2)
     B = np.zeros((len(A), n_u))

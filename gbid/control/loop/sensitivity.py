@@ -1,4 +1,4 @@
-"""What a loop does to disturbances: sensitivities of Eq. 22, their frequency responses and peaks."""
+"""Sensitivities of a loop (Eq. 22), their frequency responses and peaks."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from gbid.structure import LinearModel, with_pade
 
 Which = Literal["output", "input", "control", "plant", "complementary"]
 STABILITY_PADE_ORDER = 6
-"""Order of the Pade delays by which the stability of a loop with exact delays is judged."""
+"""Order of the Pade delays for the stability test of a loop with exact delays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
-    r"""A loop ``r = K p`` (Eq. 21) seen from the disturbances that enter it.
+    r"""Sensitivities of a loop ``r = K p`` (Eq. 21) to disturbances.
 
-    With d added to the measured position p, and w to the reference r:
+    d is added to the measured position p, and w to the reference r:
 
     ================== =========================================== =================================
     name               transfer matrix                             from, to
@@ -49,26 +49,27 @@ class Sensitivities:
     controller: LinearModel
 
     def __post_init__(self) -> None:
-        assert self._loop is not None  # refuses what is no loop
+        assert self._loop is not None  # raises an error when the models do not form a loop
 
     def __repr__(self) -> str:
         return brief(self, "", plant=self.plant.summary, controller=self.controller.summary)
 
     @property
     def has_delay(self) -> bool:
-        """Whether the plant has exact delays; then there are frequency responses, but no finite model."""
+        """Whether the plant has exact delays; then there are frequency responses, but no state-space model."""
         return self.plant.delay is not None
 
     def is_stable(self) -> bool:
-        """Whether the loop is; with exact delays judged by Pade delays of order `STABILITY_PADE_ORDER`."""
+        """Return whether the loop is stable; exact delays become Pade delays of order `STABILITY_PADE_ORDER`."""
         return bool(self._loop.is_stable())
 
     def model(self, which: Which) -> LinearModel:
-        """State-space model of one of the sensitivities; all of a loop share A.
+        """Return the state-space model of one of the sensitivities; all of them have the same A.
 
         Parameters
         ----------
         which : {"output", "input", "control", "plant", "complementary"}
+            Name of the sensitivity.
 
         Returns
         -------
@@ -77,7 +78,7 @@ class Sensitivities:
         Raises
         ------
         UsageError
-            For an unknown name, or a plant with exact delays: `gbid.with_pade` makes states of them first.
+            When the name is unknown, or when the plant has exact delays (replace them first with `gbid.with_pade`).
         """
         _check_which(which)
         if self.has_delay:
@@ -87,46 +88,49 @@ class Sensitivities:
         return self._part(which)
 
     def response(self, which: Which, frequency_hz: npt.ArrayLike) -> ComplexArray:
-        """Frequency response, delays exact.
+        """Return a frequency response, with exact delays.
 
         Parameters
         ----------
         which : {"output", "input", "control", "plant", "complementary"}
+            Name of the sensitivity.
         frequency_hz : (n_frequencies,) array
             Frequencies [Hz].
 
         Returns
         -------
         (n_frequencies, n_outputs, n_inputs) array
+            Frequency response.
 
         Raises
         ------
         UsageError
-            For an unknown name or frequencies that are not finite.
+            When the name is unknown, or when frequencies are not finite.
         """
         _check_which(which)
         G, K = self.plant.frequency_response(frequency_hz), self.controller.frequency_response(frequency_hz)
         return _combine(which, G, K)
 
     def peak(self, which: Which = "output", tolerance: float = 1e-8) -> Peak:
-        """Find the largest singular value over all frequencies.
+        """Return the largest singular value over all frequencies.
 
         Parameters
         ----------
         which : {"output", "input", "control", "plant", "complementary"}
+            Name of the sensitivity.
         tolerance : float
-            Relative, for a loop without exact delays.
+            Relative tolerance, for a loop without exact delays.
 
         Returns
         -------
         Peak
-            Exact (see `gbid.control.peak_gain`) without exact delays. With them, from a grid that is dense around the
-            modes of the loop, refined around its maxima; infinite when the loop is not stable.
+            Exact (see `gbid.control.peak_gain`) without exact delays. With exact delays it comes from a grid that is
+            dense around the modes of the loop and refined around its maxima. Infinite when the loop is not stable.
 
         Raises
         ------
         UsageError
-            For an unknown name.
+            When the name is unknown.
         """
         _check_which(which)
         if not self.has_delay:
@@ -139,18 +143,18 @@ class Sensitivities:
         return Peak(value, place)
 
     def grid(self, n: int = 400) -> FloatArray:
-        """Frequencies [Hz] that follow the loop's modes; see `frequency_grid`.
+        """Return frequencies [Hz] adapted to the modes of the loop; see `frequency_grid`.
 
         Parameters
         ----------
         n : int
-            About how many.
+            Approximate number of frequencies.
         """
         return frequency_grid(self._loop, n)
 
     @property
     def poles(self) -> ComplexArray:
-        """Poles of the loop [rad/s], exact delays as Pade filters."""
+        """Poles of the loop [rad/s]; exact delays are replaced by Pade filters."""
         return self._loop.poles()
 
     @cached_property
@@ -159,7 +163,7 @@ class Sensitivities:
         return _gang(plant, self.controller)
 
     def _part(self, which: Which) -> LinearModel:
-        """Take rows and columns of the whole; its inputs are (w, d), its outputs (p, r)."""
+        """Return one sensitivity from the whole loop, whose inputs are (w, d) and outputs (p, r)."""
         n_r, n_p = self.plant.B.shape[1], self.plant.C.shape[0]
         w, d, p, r = slice(0, n_r), slice(n_r, None), slice(0, n_p), slice(n_p, None)
         rows, columns = {"output": (p, d), "input": (r, w), "control": (r, d), "plant": (p, w)}.get(which, (p, d))
@@ -179,7 +183,7 @@ class Sensitivities:
 
 
 def sensitivities(plant: LinearModel, controller: LinearModel) -> Sensitivities:
-    """Form the sensitivities of a loop ``r = K p`` (Eqs. 21, 22).
+    """Return the sensitivities of a loop ``r = K p`` (Eqs. 21, 22).
 
     Parameters
     ----------
@@ -196,7 +200,7 @@ def sensitivities(plant: LinearModel, controller: LinearModel) -> Sensitivities:
     Raises
     ------
     UsageError
-        When the two do not form a loop (as `gbid.close_loop`).
+        When the two do not form a loop (as for `gbid.close_loop`).
 
     Examples
     --------
@@ -222,10 +226,11 @@ def _combine(which: Which, G: ComplexArray, K: ComplexArray) -> ComplexArray:
 
 
 def _gang(plant: LinearModel, controller: LinearModel) -> LinearModel:
-    """Close the loop from (w, d), added to r and to p, to (p, r).
+    """Return the closed loop from (w, d), added to r and to p, to (p, r).
 
-    The disturbance d enters through a plant without dynamics, so that `close_loop` does all of it: its extended
-    plant has the inputs (r, d) and the outputs (p, r), its extended controller takes p and leaves d alone.
+    The disturbance d enters through a part of the plant without dynamics, so that `close_loop` can be used. The
+    extended plant has the inputs (r, d) and the outputs (p, r). The extended controller uses p and has no output to
+    d.
     """
     n_r, n_p = plant.B.shape[1], plant.C.shape[0]
     close_loop(plant, controller)  # names, sample times and well-posedness of the loop itself

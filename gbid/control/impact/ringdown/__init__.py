@@ -1,1 +1,1 @@
-"""Modes identified from the ring-down after hammer impacts."""
+"""Identification of modes from the ring-down after hammer impacts."""

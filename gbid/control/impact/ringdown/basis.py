@@ -1,4 +1,4 @@
-"""What a ring-down of two degrees of freedom can look like: free responses, and what else is in the signal."""
+"""Model of a ring-down with two degrees of freedom: free responses, offset and harmonics of the shaft angle."""
 
 from __future__ import annotations
 
@@ -17,41 +17,41 @@ from gbid.recording import Recording
 
 N_MECHANICAL = 8
 """Parameters of K and D."""
-_SHORTEST = 20  # samples of a ring-down
+_SHORTEST = 20  # smallest number of samples of a ring-down
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Sizes that make the parameters of order one.
+    """Scaling that makes the parameters of order one.
 
     Attributes
     ----------
     rate : float
-        An angular frequency near those sought [rad/s].
+        Angular frequency near that of the modes [rad/s].
     sample_time : float
-        [s].
+        Time between samples [s].
     """
 
     rate: float
     sample_time: float
 
     def matrix(self, theta: FloatArray) -> FloatArray:
-        """System matrix [0 I; K D] with time in units of 1/rate, from K, D (negated, by rows)."""
+        """Return the system matrix [0 I; K D] with time in units of 1/rate; theta has -K and -D row by row."""
         A = np.zeros((4, 4))
         A[:2, 2:] = np.eye(2)
         A[2:, :2], A[2:, 2:] = -theta[:4].reshape(2, 2), -theta[4:8].reshape(2, 2)
         return A
 
     def free(self, theta: FloatArray, n: int) -> FloatArray:
-        """Free responses, shape (n, 2, 4): one for each initial state."""
+        """Return the free responses, shape (n, 2, 4): one for each initial state."""
         return _powers(expm(self.matrix(theta) * self.rate * self.sample_time), n)[:, :2]
 
     def free_slopes(self, theta: FloatArray, n: int) -> FloatArray:
-        """Differentiate `free` by K and D, shape (8, n, 2, 4)."""
+        """Return the derivatives of `free` with respect to the parameters of K and D, shape (8, n, 2, 4)."""
         slopes = np.zeros((N_MECHANICAL, n, 2, 4))
         A, step = self.matrix(theta), self.rate * self.sample_time
         for i in range(N_MECHANICAL):
-            both = np.zeros((8, 8))  # exp of [A dA; 0 A] has the derivative of exp(A) in its corner
+            both = np.zeros((8, 8))  # the upper right block of exp([A dA; 0 A]) is the derivative of exp(A)
             both[:4, :4] = both[4:, 4:] = A
             both[2 + (i % 4) // 2, 4 + i % 2 + 2 * (i // 4)] = -1.0
             slopes[i] = _powers(expm(both * step), n)[:, :2, 4:]
@@ -59,7 +59,7 @@ class Scale:
 
 
 def _powers(F: FloatArray, n: int) -> FloatArray:
-    """F^0, F^1, ... F^(n-1), by doubling."""
+    """Return F^0, F^1, ... F^(n-1), by doubling."""
     powers = np.eye(len(F))[None]
     while len(powers) < n:
         powers = np.concatenate([powers, powers @ (powers[-1] @ F)])
@@ -68,21 +68,22 @@ def _powers(F: FloatArray, n: int) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class RingData:
-    """One recording, ready to be fitted.
+    """One recording, prepared for the fit.
 
     Attributes
     ----------
     name : str
+        Name of the recording.
     position : (n_samples, 2) array
-        As measured; zero where not used.
+        Measured position; zero where not used.
     used : (n_samples,) bool array
-        Samples that are fitted: all but those under an impact.
+        Samples that are fitted: all but those during an impact.
     pulses : tuple of Pulse
         Forces of the impacts.
     segments : tuple of (start, stop)
-        Free responses after the impacts.
+        Sample ranges of the free responses after the impacts.
     quiet : (n_samples, n_quiet) array
-        Orthonormal: offset and harmonics of the shaft angle on the samples used.
+        Orthonormal basis of offset and harmonics of the shaft angle on the samples used.
     """
 
     name: str
@@ -101,12 +102,12 @@ def ring_data(
     harmonics: int,
     skip: int,
 ) -> RingData:
-    """Cut a recording into free responses; the samples under an impact and `skip` more are left out.
+    """Return a recording cut into free responses, without the samples of the impacts and `skip` samples after each.
 
     Raises
     ------
     DataError
-        When the position has not two channels, or too little is left after an impact.
+        When the position does not have two channels, or when too few samples remain after an impact.
     """
     p = recording.signal(position)
     if p.shape[1] != 2:
@@ -127,13 +128,13 @@ def ring_data(
     size = np.abs(np.diag(r))
     if size.min() < 1e-8 * size.max():
         raise DataError(
-            f"recording {recording.name!r}: too short to tell {harmonics} harmonics of the shaft apart; use fewer"
+            f"recording {recording.name!r}: too short for {harmonics} harmonics of the shaft angle; use fewer"
         )
     return RingData(recording.name, p * used[:, None], used, pulses, tuple(segments), q)
 
 
 def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
-    """Offset, and sines and cosines of the shaft angle, shape (n_samples, 1 + 2 harmonics)."""
+    """Return offset, and sines and cosines of the shaft angle, shape (n_samples, 1 + 2 harmonics)."""
     columns = [np.ones(recording.n_samples)]
     if harmonics:
         angle = recording.signal("phi")[:, 0]
@@ -143,17 +144,17 @@ def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
 
 
 def harmonics_for(recording: Recording, harmonics: int | None) -> int:
-    """How many harmonics to estimate: 10 when the shaft turns and nothing else is asked for, none at rest."""
+    """Return the number of harmonics to estimate: 10 by default when the shaft turns, none at rest."""
     if "phi" not in recording.signals:
         if harmonics:
-            shaft_motion(recording)  # says what is missing
+            shaft_motion(recording)  # raises the error about the missing angle
         return 0
     turning = shaft_motion(recording).turns > 0
     return (10 if harmonics is None else harmonics) if turning else 0
 
 
 def lagging_force(data: RingData, rates: Sequence[float], directions: Sequence[int], sample_time: float) -> FloatArray:
-    """Force through lags of gain one, shape (n_samples, n_rates n_directions); zero where not used."""
+    """Return the force filtered by lags of gain one, shape (n_samples, n_rates n_directions); zero where not used."""
     columns = [np.zeros((len(data.position), 0))]
     for rate in rates:
         A, E = -rate * np.eye(2), rate * np.eye(2)

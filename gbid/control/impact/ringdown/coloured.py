@@ -9,23 +9,25 @@ import numpy as np
 from gbid.arrays import BoolArray, FloatArray
 
 MEMORY_S = 20e-3
-"""How long residuals are taken to remember [s]: two periods of the slowest mode that matters."""
+"""Longest correlation time of the residuals that is taken into account [s]: two periods of the slowest mode."""
 
 
 def autocovariance(residuals: Sequence[FloatArray], used: Sequence[BoolArray], n_lags: int) -> FloatArray:
-    """Covariance of residuals a number of samples apart, pooled over recordings.
+    """Return the autocovariance of residuals up to a number of lags, pooled over recordings.
 
     Parameters
     ----------
     residuals : sequence of (n_samples, n_channels) array
-        Zero where not used.
+        Residuals of each recording; zero where not used.
     used : sequence of (n_samples,) bool array
+        Samples that are used.
     n_lags : int
+        Largest lag [samples].
 
     Returns
     -------
     (n_lags + 1, n_channels, n_channels) array
-        Entry [l, i, j] is E[e_i(t + l) e_j(t)], with the triangular weights of Bartlett that keep the whole
+        Entry [l, i, j] is E[e_i(t + l) e_j(t)], with the triangular weights of Bartlett, which keep the whole matrix
         positive semidefinite (Newey and West 1987).
     """
     n = residuals[0].shape[1]
@@ -39,18 +41,19 @@ def autocovariance(residuals: Sequence[FloatArray], used: Sequence[BoolArray], n
 
 
 def sandwich(influence: Sequence[FloatArray], covariance: FloatArray) -> FloatArray:
-    r"""Covariance of :math:`\sum_t J(t)^T e(t)` for stationary e, recordings independent.
+    r"""Return the covariance of :math:`\sum_t J(t)^T e(t)` for stationary e and independent recordings.
 
     Parameters
     ----------
     influence : sequence of (n_samples, n_channels, n_parameters) array
         J of each recording, zero where samples are not used.
     covariance : (n_lags + 1, n_channels, n_channels) array
-        From `autocovariance`.
+        Autocovariance from `autocovariance`.
 
     Returns
     -------
     (n_parameters, n_parameters) array
+        Covariance of the sum.
     """
     n_parameters = influence[0].shape[2]
     total = np.zeros((n_parameters, n_parameters))

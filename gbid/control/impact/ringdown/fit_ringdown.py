@@ -1,14 +1,15 @@
-r"""Modes of a rotor from how it rings down after impacts: the rows "obtained experimentally" of Tables 3 and 4.
+r"""Modes of a rotor identified from its ring-down after impacts ("obtained experimentally" in Tables 3 and 4).
 
-After an impact the disc moves by itself. Two degrees of freedom, and decays without oscillation beside them:
+After an impact the disc moves freely. The model has two degrees of freedom, and decays without oscillation:
 
 .. math::
 
     p(t) = q(t) + \sum_l R_l \int_{-\infty}^t \rho_l e^{-\rho_l (t - s)} f(s)\, ds
            + p_0 + \sum_n c_n \cos n\phi + s_n \sin n\phi, \quad \ddot q = K q + D \dot q
 
-All impacts share K, D and the lags; each has a state of its own to start from, each recording an offset and, when the
-shaft turns, harmonics of the shaft angle: unbalance and run-out are estimated along, not filtered (Figs. 26, 27).
+K, D and the lags are common to all impacts. Each impact has its own initial state. Each recording has its own offset
+and, when the shaft turns, harmonics of the shaft angle. So unbalance and run-out are estimated together with the modes
+and are not filtered out before (Figs. 26, 27).
 """
 
 from __future__ import annotations
@@ -41,38 +42,38 @@ def fit_ringdown(
     skip_s: float = 0.0,
     start: Sequence[tuple[float, float]] | None = None,
 ) -> RingDown:
-    """Fit two modes to the free responses after all impacts in some recordings (paper, Sec. 5.1, Tables 3 and 4).
+    """Return two modes fitted to the free responses after impacts (paper, Sec. 5.1, Tables 3 and 4).
 
     Parameters
     ----------
     recordings : Recording or sequence of Recording
-        Of one machine at one operating point; impacts along x and along y together tell the modes best.
+        Recordings of one machine at one operating point. Impacts along x and along y together give the best accuracy.
     position, force : str
-        Signals: disc position of two channels [m], force of the hammer [N].
+        Names of the signals: disc position of two channels [m], force of the hammer [N].
     axis : {"x", "y"}, optional
-        Direction of a force of one channel.
+        Direction of a force with one channel.
     lags : int or "auto"
-        How many decays without oscillation to fit beside the modes. In open loop there are none; a loop has those of
-        actuators, low-pass and delays, which a plain fit of two modes would count as damping. ``"auto"`` takes none or
-        3, by Schwarz's criterion (BIC).
+        Number of decays without oscillation to fit besides the modes. In open loop there are none. A closed loop has
+        those of actuators, low-pass and delays; a fit without them would overestimate the damping. ``"auto"`` chooses
+        none or 3 by Schwarz's criterion (BIC).
     harmonics : int, optional
-        Harmonics of the shaft angle `phi` estimated along; 10 when the shaft turns and nothing is given.
+        Number of harmonics of the shaft angle `phi` to estimate; by default 10 when the shaft turns.
     skip_s : float
         Time after the end of an impact that is left out [s].
     start : sequence of (frequency_hz, damping), optional
-        Two modes to start from, beside what is found in the data.
+        Two modes as an additional start value.
 
     Returns
     -------
     RingDown
-        A fit that does not converge, or finds no two oscillations, says so in `success` and `status`.
+        When the fit does not converge, or when there are no two oscillations, `success` and `status` show it.
 
     Raises
     ------
     DataError
-        When a recording has no impact, too little after one, or a signal is missing.
+        When a recording has no impact or too few samples after one, or when a signal is missing.
     UsageError
-        For arguments out of range.
+        When an argument is out of range.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     _check_arguments(group, lags, harmonics, skip_s, start)
@@ -95,7 +96,7 @@ def fit_ringdown(
 
     problem, solved = fit_lags(problems, _guesses(data, h, start), lags)
     rms = _channel_rms(problem, solved)
-    if (rms > 0).all():  # channels are not equally noisy: once more, each by its own noise
+    if (rms > 0).all():  # the noise of the channels differs: fit again with weights from the residuals
         problem = replace(problem, weights=float(np.sqrt(np.mean(rms**2))) / rms)
         solved = problem.solve(solved.theta)
         rms = _channel_rms(problem, solved)
@@ -128,7 +129,7 @@ def _check_arguments(
 
 
 def _after(data: RingData) -> FloatArray:
-    """Positions after the impacts, less what offset and harmonics explain."""
+    """Return the positions after the impacts, without offset and harmonics."""
     quiet = data.position - data.quiet @ (data.quiet.T @ data.position)
     return np.vstack([quiet[a:b] for a, b in data.segments])
 
@@ -146,13 +147,13 @@ def _guesses(
 
 
 def _channel_rms(problem: RingProblem, solved: SeparableFit) -> FloatArray:
-    """Residuals of x and y, over all samples used."""
+    """Return the rms residuals of x and y over all samples used."""
     squares = sum((r**2).sum(axis=0) for r in solved.at.residuals)
     return np.asarray(np.sqrt(squares * 2 / problem.n_values) / problem.weights)
 
 
 def _covariance(problem: RingProblem, solved: SeparableFit) -> FloatArray:
-    """Covariance of the parameters, for correlated residuals."""
+    """Return the covariance of the parameters for correlated residuals."""
     slopes, residuals = solved.at.slopes, solved.at.residuals
     stacked = np.concatenate([s.reshape(-1, s.shape[-1]) for s in slopes])
     bread = np.linalg.pinv(stacked.T @ stacked, hermitian=True)

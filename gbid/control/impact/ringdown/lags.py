@@ -1,4 +1,4 @@
-"""The fit of two modes, alone and with lags beside them."""
+"""Fit of two modes, with and without additional lags."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import DataError
 
 LAGS = 3
-"""How many lags ``"auto"`` takes where the data ask for any."""
+"""Number of lags of ``"auto"`` when the data require lags."""
 _SLOWEST, _FASTEST = 1.0, 3.0  # rates of the lags over the angular frequency of the modes
-_GUESSES = 2  # start values that are followed
+_GUESSES = 2  # number of start values from which a fit is made
 
 
 def fit_lags(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]], lags: int | str
 ) -> tuple[RingProblem, SeparableFit]:
-    """Fit two modes, and lags if they are asked for or the data ask for them.
+    """Return the fit of two modes, with lags when they are requested or when the data require them.
 
-    The rates of the lags are fixed, spread around the frequency of the modes. Sums of such decays come close to any
-    others there; rates that were estimated would run into each other, or off to where they explain noise.
+    The rates of the lags are fixed around the frequency of the modes. Sums of such decays approximate any other decay
+    in this range. Estimated rates would become equal, or would fit noise.
 
     Parameters
     ----------
     problems : callable
-        The problem for a rate [rad/s] by which K and D are scaled.
+        Returns the problem for a rate [rad/s] that scales K and D.
     guesses : sequence of (rate, theta)
-        To start from.
+        Start values.
     lags : int or "auto"
+        Number of lags.
 
     Returns
     -------
@@ -61,7 +62,7 @@ def fit_lags(
 
 
 def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatArray:
-    """Rates of so many lags, in geometric steps about the modes [1/s]."""
+    """Return the rates of a number of lags, in geometric steps around the modes [1/s]."""
     K, D = solved.theta[:4].reshape(2, 2), solved.theta[4:N_MECHANICAL].reshape(2, 2)
     middle = problem.scale.rate * float(np.abs(eigenvalues_of(-np.hstack([K, D]))).mean())
     steps = np.geomspace(_SLOWEST, _FASTEST, count) if count > 1 else np.array([np.sqrt(_SLOWEST * _FASTEST)])
@@ -71,10 +72,10 @@ def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatAr
 def _fit_modes(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]]
 ) -> tuple[RingProblem, SeparableFit]:
-    """Fit two modes without lags, from the best of the guesses."""
+    """Return the fit of two modes without lags, from the best of the guesses."""
     tries = []
     for rate, theta in guesses:
-        with contextlib.suppress(np.linalg.LinAlgError, ValueError):  # a guess that grows until it overflows
+        with contextlib.suppress(np.linalg.LinAlgError, ValueError):  # the response of an unstable guess can overflow
             tries.append((problems(rate).at(theta, slopes=False).squares, rate, theta))
     tries = [t for t in tries if np.isfinite(t[0])]
     found = []
@@ -90,6 +91,6 @@ def _fit_modes(
 
 
 def _schwarz(problem: RingProblem, solved: SeparableFit) -> float:
-    """Schwarz's criterion (BIC), up to a constant; residuals of a millionth of the signal are rounding, not noise."""
+    """Return Schwarz's criterion (BIC) up to a constant; residuals below 1e-6 of the signal count as rounding."""
     n = problem.n_values
     return float(n * np.log(max(solved.at.squares / n, 1e-12)) + np.log(n) * (len(solved.theta) + problem.n_linear))

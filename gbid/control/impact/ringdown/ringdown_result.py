@@ -1,4 +1,4 @@
-"""What a ring-down fit gives."""
+"""Result of a ring-down fit."""
 
 from __future__ import annotations
 
@@ -26,30 +26,34 @@ class RingDownStatus(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class RingDown:
-    """Two modes from ring-downs; what `fit_ringdown` returns.
+    """Two modes from ring-downs, as `fit_ringdown` returns them.
 
     Attributes
     ----------
     frequency_hz, damping : (2,) array
-        Natural frequencies [Hz] and damping factors, by rising frequency; nan where K and D do not oscillate.
+        Natural frequencies [Hz] and damping factors, by rising frequency; nan when K and D have real poles.
     frequency_std, damping_std : (2,) array
-        Standard deviations, for residuals that are correlated in time and between x and y.
+        Standard deviations [Hz, 1], for residuals that are correlated in time and between x and y.
     covariance : (4, 4) array
-        Of frequency 1, damping 1, frequency 2, damping 2.
+        Covariance of frequency 1, damping 1, frequency 2, damping 2.
     stiffness, damping_matrix : (2, 2) array
         K [1/s^2] and D [1/s].
     lag_rates : (n_lags,) array
-        Rates of the decays that were fitted beside the modes [1/s].
+        Rates of the fitted lags [1/s].
     residual_rms : (2,) array
-        What is left of x and y [m].
+        Rms residuals of x and y [m].
     n_impacts : int
+        Number of impacts.
     recordings : tuple of str
+        Names of the recordings.
     harmonics : int
-        Harmonics of the shaft angle that were estimated along.
+        Number of estimated harmonics of the shaft angle.
     success : bool
+        Whether the status is ``CONVERGED``.
     status : RingDownStatus
+        Why the fit ended.
     notes : tuple of str
-        What to know of it.
+        Remarks for the reader of the result.
     """
 
     frequency_hz: FloatArray
@@ -69,21 +73,21 @@ class RingDown:
     notes: tuple[str, ...] = ()
 
     def modes(self) -> list[tuple[float, float]]:
-        """Natural frequency [Hz] and damping factor of each mode, as `LinearModel.modes` gives them."""
+        """Return natural frequency [Hz] and damping factor of each mode, as `LinearModel.modes` does."""
         return [(float(f), float(z)) for f, z in zip(self.frequency_hz, self.damping, strict=True)]
 
     @property
     def aperiodic(self) -> bool:
-        """Whether the response is damped so much that there are no two oscillations in it; then nothing converges."""
+        """Whether the response is so strongly damped that it has no two oscillations; then the fit cannot succeed."""
         return self.status == RingDownStatus.NO_OSCILLATIONS
 
     def interval(self, level: float = 0.95) -> FloatArray:
-        """Confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.
+        """Return confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.
 
         Parameters
         ----------
         level : float
-            Between 0 and 1.
+            Confidence level between 0 and 1.
         """
         if not 0 < level < 1:
             raise UsageError(f"level = {level}; give a number between 0 and 1")
@@ -93,7 +97,7 @@ class RingDown:
 
 
 def two_modes(theta: FloatArray, scale: Scale) -> FloatArray:
-    """Frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
+    """Return frequency 1, damping 1, frequency 2, damping 2; nan when a pair of poles is real."""
     mechanical = np.hstack([-theta[:4].reshape(2, 2) * scale.rate**2, -theta[4:8].reshape(2, 2) * scale.rate])
     modes = oscillatory_modes(eigenvalues_of(mechanical))
     return modes.ravel() if len(modes) == 2 else np.full(4, np.nan)

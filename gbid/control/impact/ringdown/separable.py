@@ -1,4 +1,7 @@
-"""Least squares of a ring-down: what enters linearly is projected out (variable projection), the rest is iterated."""
+"""Separable least squares of a ring-down by variable projection.
+
+Linear parameters are eliminated by projection; the others are iterated.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +25,14 @@ _SHORTEST = 50
 
 @dataclass(frozen=True, eq=False)
 class Projected:
-    """Residuals and their slopes at one set of parameters.
+    """Projected residuals and their derivatives at one set of parameters.
 
     Attributes
     ----------
     residuals : list of (n_samples, 2) array
-        One for each recording, weighted.
+        Weighted residuals, one array for each recording.
     slopes : list of (n_samples, 2, n_parameters) array
-        After Kaufman (1975), which leaves out what is of the size of the residuals.
+        Derivatives by Kaufman's approximation (1975), which leaves out terms proportional to the residuals.
     """
 
     residuals: list[FloatArray] = field(default_factory=list)
@@ -43,15 +46,18 @@ class Projected:
 
 @dataclass(frozen=True, eq=False)
 class SeparableFit:
-    """A fit of the parameters.
+    """Result of the fit of the nonlinear parameters.
 
     Attributes
     ----------
     theta : (n_parameters,) array
+        Parameters.
     at : Projected
+        Residuals and derivatives at these parameters.
     converged : bool
+        Whether the solver converged.
     message : str
-        Why the solver stopped, in its own words.
+        Message of the solver.
     """
 
     theta: FloatArray
@@ -62,19 +68,20 @@ class SeparableFit:
 
 @dataclass(frozen=True, eq=False)
 class RingProblem:
-    """Free responses of several recordings that share K, D and lags; each impact has an initial state of its own.
+    """Least-squares problem of free responses with common K, D and lags, and one initial state for each impact.
 
-    Parameters are K and D by rows, negated and scaled, then for each lag and each direction that is hit the gains to x
-    and to y.
+    The parameters are -K and -D row by row, scaled, then for each lag and each direction of force the gains to x and y.
 
     Attributes
     ----------
     data : tuple of RingData
+        Recordings.
     scale : Scale
+        Scaling of the parameters.
     directions : tuple of int
-        Directions of force that are hit: 0 for x, 1 for y.
+        Directions of force: 0 for x, 1 for y.
     weights : (2,) array
-        By which the residuals of x and y are multiplied.
+        Factors on the residuals of x and y.
     rates : tuple of float
         Rates of the lags [1/s].
     """
@@ -87,21 +94,21 @@ class RingProblem:
 
     @property
     def n_values(self) -> int:
-        """Number of values that are fitted."""
+        """Number of fitted values."""
         return 2 * sum(int(d.used.sum()) for d in self.data)
 
     @property
     def n_linear(self) -> int:
-        """Number of initial states, offsets and harmonics."""
+        """Number of linear parameters: initial states, offsets and harmonics."""
         return sum(2 * d.quiet.shape[1] + 4 * len(d.segments) for d in self.data)
 
     @cached_property
     def lagging(self) -> tuple[FloatArray, ...]:
-        """Force of each recording through the lags."""
+        """Force of each recording, filtered by the lags."""
         return tuple(lagging_force(d, self.rates, self.directions, self.scale.sample_time) for d in self.data)
 
     def with_lags(self, theta: FloatArray, rates: Sequence[float]) -> tuple[RingProblem, FloatArray]:
-        """Return the problem with lags of given rates, their gains by linear least squares."""
+        """Return the problem with lags of given rates, and its parameters with gains from linear least squares."""
         problem = replace(self, rates=tuple(rates))
         longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * len(rates) * len(self.directions))])
         at = problem.at(longer)
@@ -111,7 +118,7 @@ class RingProblem:
         return problem, longer
 
     def at(self, theta: FloatArray, *, slopes: bool = True) -> Projected:
-        """Evaluate the residuals and, if wanted, their slopes."""
+        """Return the residuals and, if `slopes` is set, their derivatives."""
         alive = self._alive(theta)
         longest = max(min(stop - start, alive) for d in self.data for start, stop in d.segments)
         free = self.scale.free(theta, longest) * self.weights[:, None]
@@ -140,7 +147,7 @@ class RingProblem:
         return found
 
     def solve(self, theta: FloatArray, max_evaluations: int = 100) -> SeparableFit:
-        """Minimise the squares from given parameters by Levenberg-Marquardt."""
+        """Return the least-squares fit from given start values, by Levenberg-Marquardt."""
         last: dict[bytes, Projected] = {}
 
         def evaluated(x: FloatArray) -> Projected:
@@ -161,13 +168,13 @@ class RingProblem:
         return SeparableFit(done.x, evaluated(done.x), done.status > 0, str(done.message))
 
     def _alive(self, theta: FloatArray) -> int:
-        """Count samples until the slowest free response is below 1e-6 of its start; the rest of a record is quiet."""
+        """Return the number of samples until the slowest free response is below 1e-6 of its start."""
         slowest = self.scale.rate * float(-np.linalg.eigvals(self.scale.matrix(theta)).real.max())
         return max(_SHORTEST, ceil(_DIED_OUT / (slowest * self.scale.sample_time))) if slowest > 1e-3 else sys.maxsize
 
 
 class _Projector:
-    """Takes out of signals what offset, harmonics and the free responses of a recording can explain."""
+    """Projection that removes offset, harmonics and free responses from signals of a recording."""
 
     def __init__(self, data: RingData, bases: Sequence[FloatArray]) -> None:
         self._data, self._bases = data, bases
@@ -180,7 +187,7 @@ class _Projector:
         self._gram = np.eye(n) - sum((w.T @ w for w in self._mixed), np.zeros((n, n)))
 
     def apply(self, signals: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Project (n_samples, 2, m) signals; return them, and without offset and harmonics only."""
+        """Return projected (n_samples, 2, m) signals, and signals without offset and harmonics only."""
         d, m = self._data, signals.shape[2]
         right = self._quiet_part(signals, d.quiet)
         for q, w, (start, stop) in zip(self._bases, self._mixed, d.segments, strict=True):
@@ -195,5 +202,5 @@ class _Projector:
 
     @staticmethod
     def _quiet_part(signals: FloatArray, quiet: FloatArray) -> FloatArray:
-        """Products of (n, 2, m) signals with offset and harmonics, shape (2 n_quiet, m)."""
+        """Return the products of (n, 2, m) signals with offset and harmonics, shape (2 n_quiet, m)."""
         return np.asarray((quiet.T @ signals.reshape(len(signals), -1)).reshape(-1, signals.shape[2]))

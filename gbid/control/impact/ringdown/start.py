@@ -1,4 +1,4 @@
-"""Start values of a ring-down: subspace method on the free responses (Juang and Pappa 1985)."""
+"""Start values of a ring-down fit by a subspace method (eigensystem realisation, Juang and Pappa 1985)."""
 
 from __future__ import annotations
 
@@ -10,27 +10,28 @@ from scipy.linalg import logm
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.impact.ringdown.basis import RingData
 
-_BAND_HZ = 1000.0  # samples closer than this asks for say little about modes of some 100 Hz
+_BAND_HZ = 1000.0  # a higher sampling rate has little information on modes near 100 Hz
 _ROWS = 12
 
 
 def start_candidates(
     data: Sequence[RingData], sample_time: float, rate: float | None
 ) -> list[tuple[float, FloatArray]]:
-    """Find some first guesses.
+    """Return several start values.
 
     Parameters
     ----------
     data : sequence of RingData
+        Recordings.
     sample_time : float
-        [s].
+        Time between samples [s].
     rate : float, optional
-        Angular frequency about which to look [rad/s]; found when not given.
+        Angular frequency near the modes [rad/s]; estimated when not given.
 
     Returns
     -------
     list of (rate, theta)
-        Angular frequency by which K and D are scaled, and the eight parameters; see `Scale`.
+        Angular frequency that scales K and D, and the eight parameters; see `Scale`.
     """
     found = []
     for step in dict.fromkeys(max(1, round(1 / (band * sample_time))) for band in (_BAND_HZ, 2 * _BAND_HZ)):
@@ -46,7 +47,7 @@ def start_candidates(
 
 
 def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float) -> tuple[float, FloatArray] | None:
-    """K and D of the four strongest states in the shifted free responses."""
+    """Return K and D of the four dominant states of the shifted free responses."""
     blocks = []
     for d in data:
         quiet = d.position - d.quiet @ (d.quiet.T @ d.position)
@@ -78,5 +79,5 @@ def _realised(data: Sequence[RingData], step: int, rows: int, sample_time: float
 
 
 def eigenvalues_of(mechanical: FloatArray) -> ComplexArray:
-    """Eigenvalues of [0 I; K D], given [K D]."""
+    """Return the eigenvalues of [0 I; K D], given [K D]."""
     return np.linalg.eigvals(np.vstack([np.hstack([np.zeros((2, 2)), np.eye(2)]), mechanical])).astype(complex)
