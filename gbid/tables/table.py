@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 from typing import Any
 
 from gbid.tables.numbers import engineering, shown_unit
@@ -138,14 +139,18 @@ class Table:
         return [[column.show(entry) for column, entry in zip(self.columns, row, strict=True)] for row in self.rows]
 
     def document(self) -> dict[str, Any]:
-        """Title, headings and values as a plain document for JSON."""
-        rows = [[value_of(entry) for entry in row] for row in self.rows]
+        """Title, headings and values as a plain document for JSON; numbers that are not finite are None."""
+        rows = [[_finite(value_of(entry)) for entry in row] for row in self.rows]
         return {"title": self.title, "columns": [column.heading for column in self.columns], "rows": rows}
 
 
 def value_of(entry: Entry) -> Value:
     """Value of a cell."""
     return entry.value if isinstance(entry, Cell) else entry
+
+
+def _finite(value: Value) -> Value:
+    return None if isinstance(value, float) and not isfinite(value) else value
 
 
 def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 from gbid.tables.markdown import markdown_table
@@ -48,7 +49,8 @@ def reproduction_markdown(document: Mapping[str, Any]) -> str:
     document : dict
         From `gbid.report.paper.stage.reproduction_document`.
     """
-    return "\n".join(map(markdown_table, reproduction_tables(document)))
+    first, *past = reproduction_tables(document)
+    return "\n".join(map(markdown_table, (replace(first, title=""), *past)))  # a page has a heading of its own
 
 
 def _past(document: Mapping[str, Any]) -> Table:
