@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
 from gbid.identify.data import FitData, gather
@@ -16,9 +17,10 @@ from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.nlp.nlp_problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.nlp.shooting import Criterion
-from gbid.identify.nlp.solver import solve
+from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress, Stop
 from gbid.identify.options import FitOptions
+from gbid.identify.other_gains import lowest_of_several
 from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.result import FitResult
@@ -154,7 +156,11 @@ def fit(
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         first = np.clip(unknowns, lower, upper)
-        solution = solve(problem, first, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
+
+        def run(begin: FloatArray) -> Solution:
+            return solve(problem, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
+
+        solution, told = lowest_of_several(problem, run(first), (lower, upper), run)
         options = FitOptions(
             inputs=in_names,
             outputs=out_names,
@@ -168,7 +174,8 @@ def fit(
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
         )
-        return outcome(structure, used, data, assembly, problem, solution, full, origin, options)
+        result = outcome(structure, used, data, assembly, problem, solution, full, origin, options)
+        return replace(result, notes=(*result.notes, *told))
 
     # Small matrices: several BLAS threads only wait for one another. An unstable start overflows: the status says so.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):

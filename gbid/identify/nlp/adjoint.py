@@ -18,34 +18,6 @@ from gbid.identify.nlp.shooting import GroupGradient, RecordGroup, Shooting
 from gbid.identify.predictor import PredictorValues
 
 
-def lagrangian_gradient(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> FloatArray:
-    """Gradient of ``cost + lam_gaps' gaps``, as `Shooting.lagrangian_gradient` has it from a pass.
-
-    Parameters
-    ----------
-    problem : Shooting
-    unknowns : (n_unknowns,) array
-        Scaled.
-    lam_gaps : (n_gaps,) array
-
-    Returns
-    -------
-    (n_unknowns,) array
-        NaN where the problem has no value.
-    """
-    theta, starts = problem.unpack(unknowns)
-    values = problem.valid_values(theta)
-    found = own_gradients(problem, values, starts, on_ends(problem, lam_gaps)) if values is not None else None
-    if found is None:
-        return np.full(problem.n_unknowns, np.nan)
-    by_theta = problem.prior.information / problem.likelihood_size * (theta - problem.prior.mean)
-    for part, own in zip(problem.parts, found, strict=True):
-        by_theta[part.index] += own.theta if part.tie is None else part.tie.T @ own.theta
-    by_start = np.concatenate([own.starts for own in found]) * problem.state_scale
-    by_start[problem.links[:, 1]] -= lam_gaps.reshape(-1, problem.n_states)
-    return np.concatenate([by_theta * problem.theta_scale, by_start.ravel()])
-
-
 def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
     """Multipliers of the windows' ends, (n_windows, n), in physical units: the gaps', zero where none follows."""
     ends = np.zeros((problem.n_windows, problem.n_states))
@@ -58,8 +30,8 @@ def own_gradients(
     values: list[PredictorValues],
     starts: FloatArray,
     ends: FloatArray,
-    weight: FloatArray | None = None,
-) -> list[GroupGradient] | None:
+    weight: FloatArray,
+) -> list[GroupGradient]:
     """Derive cost and weighted ends by each predictor's own parameters and the starts of its windows.
 
     Parameters
@@ -69,26 +41,18 @@ def own_gradients(
         Of each part.
     starts, ends : (n_windows, n) array
         Of the windows, and multipliers of where these end.
-    weight : (n_y, n_y) array, optional
-        That of the errors when not given. With it parts do not depend on each other.
+    weight : (n_y, n_y) array
+        Of the errors; it is held, so that parts do not depend on each other.
 
     Returns
     -------
-    list of GroupGradient or None
-        In physical units, without the prior; None where the errors overflow.
+    list of GroupGradient
+        In physical units, without the prior; not finite where the errors overflow.
     """
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
-    made = [
-        from_starts(v, part.blocks, starts[own], part.engine)
-        for v, part, own in zip(values, problem.parts, windows, strict=True)
-    ]
-    if weight is None:
-        products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", p.errors, p.errors, optimize=True) for p in made))
-        if not np.isfinite(products).all():
-            return None
-        weight = problem.weight(products)
     found = []
-    for v, part, own, prediction in zip(values, problem.parts, windows, made, strict=True):
+    for v, part, own in zip(values, problem.parts, windows, strict=True):
+        prediction = from_starts(v, part.blocks, starts[own], part.engine)
         sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, ends[own])
         found.append(GroupGradient(_by_parameters(v, sums), start))
     return found

@@ -18,14 +18,14 @@ _DIFFERENCE, _MOST = 3e-8, 1e-4
 
 
 class PartHessian(NamedTuple):
-    """Hessian of a part, or columns of it, without the block of the windows' starts.
+    """Hessian of a part without the block of its windows' starts.
 
     Attributes
     ----------
-    theta : (n_p, m) array
-        By parameters, and by those of them that the columns are of.
-    mixed : (n_windows, m, n) array
-        By the latter and the starts of the windows.
+    theta : (n_p, n_p) array
+        By parameters.
+    mixed : (n_windows, n_p, n) array
+        By parameters and the starts of the windows.
     """
 
     theta: FloatArray
@@ -37,13 +37,12 @@ def exact_columns(
     theta: FloatArray,
     starts: FloatArray,
     ends: FloatArray,
-    wanted: Sequence[Sequence[int]],
     curvatures: Sequence[FloatArray],
-    weight: FloatArray | None,
+    weight: FloatArray,
 ) -> list[PartHessian]:
     """Second derivatives of cost and weighted ends by each predictor's own parameters.
 
-    Parts share the passes over the samples, one for each parameter that is wanted of the part that wants most.
+    Parts share the passes over the samples, one for each parameter of the part that has most.
 
     Parameters
     ----------
@@ -51,18 +50,16 @@ def exact_columns(
     theta : (n_p,) array
     starts, ends : (n_windows, n) array
         Of the windows, and multipliers of where these end.
-    wanted : sequence of sequence of int
-        For each part which of its own parameters.
     curvatures : sequence of (n_p,) array
         For each part its share in the second derivatives of the cost by the parameters at its `index`, roughly: steps
         are chosen by their sum.
-    weight : (n_y, n_y) array or None
-        Of the errors; None lets it change with them, as the logarithm's does, and is for columns that all parts share.
+    weight : (n_y, n_y) array
+        Of the errors; it is held, so that parts do not depend on each other.
 
     Returns
     -------
     list of PartHessian
-        In physical units; NaN where the errors overflow.
+        In physical units; not finite where the errors overflow.
     """
     curvature = np.zeros(problem.n_theta)
     for part, share in zip(problem.parts, curvatures, strict=True):
@@ -70,27 +67,21 @@ def exact_columns(
     units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
     values = problem.values(theta)
     here = own_gradients(problem, values, starts, ends, weight)
-    counts = [part.blocks.n_windows for part in problem.parts]
+    counts = [len(part.predictor.free) for part in problem.parts]
     columns = [
-        PartHessian(
-            np.full((len(part.predictor.free), len(own)), np.nan), np.full((n, len(own), problem.n_states), np.nan)
-        )
-        for part, own, n in zip(problem.parts, wanted, counts, strict=True)
+        PartHessian(np.zeros((n_p, n_p)), np.zeros((part.blocks.n_windows, n_p, problem.n_states)))
+        for part, n_p in zip(problem.parts, counts, strict=True)
     ]
-    if here is None:
-        return columns
-    for k in range(max(map(len, wanted))):
+    for j in range(max(counts)):
         moved = [
-            (_moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0))
-            for part, own, v in zip(problem.parts, wanted, values, strict=True)
+            _moved(problem, part, theta, j, units) if j < n_p else (v, 1.0)
+            for part, n_p, v in zip(problem.parts, counts, values, strict=True)
         ]
         there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
-        if there is None:
-            continue
-        for found, own, (_, step), after, before in zip(columns, wanted, moved, there, here, strict=True):
-            if k < len(own):
-                found.theta[:, k] = (after.theta - before.theta) / step
-                found.mixed[:, k] = (after.starts - before.starts) / step
+        for found, n_p, (_, step), after, before in zip(columns, counts, moved, there, here, strict=True):
+            if j < n_p:
+                found.theta[:, j] = (after.theta - before.theta) / step
+                found.mixed[:, j] = (after.starts - before.starts) / step
     return columns
 
 

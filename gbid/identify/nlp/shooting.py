@@ -288,26 +288,6 @@ class Shooting:
         """Parameters that only disturbance gains depend on."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
-    def lagrangian_gradient(self, iterate: Iterate, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Gradient of ``lam_f cost + lam_gaps' gaps`` at an evaluated point, (n_unknowns,)."""
-        pattern = self.jacobian_pattern
-        weighted = iterate.jacobian * lam_gaps[pattern.rows]
-        return np.asarray(lam_f * iterate.gradient + np.bincount(pattern.columns, weighted, minlength=self.n_unknowns))
-
-    def gradients_by_part(self, iterate: Iterate, lam_gaps: FloatArray) -> list[GroupGradient]:
-        """Gradient of ``cost + lam_gaps' gaps`` part by part at an evaluated point."""
-        t, x, factor = self.theta_scale, self.state_scale, iterate.factor
-        ends_in = np.zeros((self.n_windows, self.n_states))
-        ends_in[self.links[:, 0]] = lam_gaps.reshape(-1, self.n_states) / x
-        found = []
-        for s, part, a, b in zip(
-            iterate.sweeps, self.parts, self.first_window[:-1], self.first_window[1:], strict=True
-        ):
-            theta = factor * s.gradient + np.einsum("wnp,wn->p", s.end_theta, ends_in[a:b])
-            starts = factor * s.gradient_start + np.einsum("wnm,wn->wm", s.end_start, ends_in[a:b])
-            found.append(GroupGradient(theta * t[part.index], starts * x))
-        return found
-
     def at_edge(self, theta: FloatArray) -> bool:
         """Whether a predictor has come so near to instability that its disturbance gain is no estimate."""
         if not (self.noise and self.stable_only):

@@ -14,7 +14,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.identify.nlp.casadi_callback import Oracle
-from gbid.identify.nlp.hessian import Curvature, GaussNewton, StructuredSecant
+from gbid.identify.nlp.hessian import Curvature, ExactHessian, GaussNewton
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.shooting import Iterate, Pattern, Shooting
 from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
@@ -68,7 +68,7 @@ def solve(
     """Minimise the cost with all gaps closed.
 
     Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each segment
-    becomes one window, and what Gauss-Newton leaves out of the Hessian is learned on the way (`StructuredSecant`).
+    becomes one window, and the Hessian gets what Gauss-Newton leaves out (`ExactHessian`).
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def solve(
         joined, kept = in_one_window(problem)
         box = (first.unknowns[kept], lower[kept], upper[kept])
         watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
-        last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, StructuredSecant(joined))
+        last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, ExactHessian(joined))
     return replace(
         last,
         unknowns=in_windows(problem, joined, last.unknowns),

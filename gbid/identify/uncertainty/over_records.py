@@ -160,8 +160,5 @@ def _all_columns(
     ends, values = np.zeros_like(starts), problem.values(theta)
     for _ in joined.links:  # from the last segments of the records to the first: how the cost depends on where they end
         made = own_gradients(joined, values, starts, ends, weight)
-        if made is None:
-            break
         ends[joined.links[:, 0]] = np.concatenate([own.starts for own in made])[joined.links[:, 1]]
-    everything = [range(len(part.predictor.free)) for part in joined.parts]
-    return exact_columns(joined, theta, starts, ends, everything, curvatures, weight)
+    return exact_columns(joined, theta, starts, ends, curvatures, weight)
