@@ -1,11 +1,11 @@
 """Validation: fit percent, cross-validation and its summary, residual tests, nominal actuator."""
 
 from gbid.validate.central import ActuatorOutlier, NominalActuator, nominal_actuator
-from gbid.validate.crossval import Validation, cross_validate, estimate_initial_state
+from gbid.validate.crossval import Validation, cross_validate, cross_validate_many
 from gbid.validate.fit_percent import fit_percent
-from gbid.validate.many import cross_validate_many
 from gbid.validate.residuals import ResidualTest, check_residuals
 from gbid.validate.scores import PointSummary, ValidationScores, ValidationSummary, WorstPair, summarise
+from gbid.validate.simulator import estimate_initial_state
 from gbid.validate.store import (
     load_actuators,
     load_validation_summary,

@@ -1,4 +1,4 @@
-"""Cross-validation: simulation of a model on a recording to which it was not fitted (paper, Sec. 3.8)."""
+"""Cross-validation: simulation of models on recordings to which they were not fitted (paper, Sec. 3.8)."""
 
 from __future__ import annotations
 
@@ -7,17 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray
-from gbid.discretise import discretise, propagate
+from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.identify import FitResult, select
+from gbid.identify import FitResult
 from gbid.recording import Recording
-from gbid.structure import LinearModel
-from gbid.validate.fit_percent import fit_percent
-
-Ranges = Sequence[tuple[int, int]]
-"""Ranges of samples (start, stop); the stop sample is not part of the range."""
-Selection = tuple[FloatArray, list[str], list[str]]
+from gbid.validate.scores import ValidationScores, join_scores
+from gbid.validate.simulator import Explained, Simulator, simulator
+from gbid.validate.validation_data import Ranges, ValidationData, validation_data
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,132 +85,109 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         When the recording lacks a signal or has another sample time, when no sample counts, or when the simulation
         overflows.
     """
-    (u, input_names, input_units), (y, output_names, output_units) = selected(result, recording)
-    model, between, offsets = result.model, result.options.intersample, result.options.offsets
-    if (len(input_names), len(output_names)) != (len(model.input_names), len(model.output_names)):
-        raise DataError(
-            f"recording {recording.name!r} gives the inputs {', '.join(input_names)} and the outputs "
-            f"{', '.join(output_names)}; the model has {', '.join(model.input_names)} and "
-            f"{', '.join(model.output_names)}"
-        )
-    counted = counted_samples(recording, left_out)
-    with np.errstate(over="ignore", invalid="ignore"):
-        try:
-            state = estimate_initial_state(
-                model, u, y, recording.sample_time, between, offsets=offsets, counted=counted
-            )
-            simulated = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
-            if offsets:
-                simulated = simulated + _kept(y - simulated, counted).mean(axis=0)
-        except np.linalg.LinAlgError:  # the free responses overflow
-            simulated = np.full_like(y, np.inf)
-    if not np.isfinite(simulated).all():
-        raise DataError(f"the model of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
-    kept, explained = _kept(y, counted), _kept(simulated, counted)
+    data, fitted = validation_data(result, recording, left_out), simulator(result)
+    explained = _explain(fitted, data)
+    simulated = fitted.run(data.inputs, explained.initial_state)
+    if fitted.offsets:
+        error = data.outputs - simulated
+        error = error if data.counted is None else error[:, data.counted]
+        simulated = simulated + error.mean(axis=1, keepdims=True)
+    percent, largest = _figures(explained, data)
     return Validation(
-        recording=recording.name,
+        recording=data.name,
         fitted_to=result.recordings,
-        fit_percent=fit_percent(kept, explained),
-        infinity_norm=np.abs(kept - explained).max(axis=0),
-        measured=y,
-        simulated=simulated,
-        inputs=u,
+        fit_percent=percent,
+        infinity_norm=largest,
+        measured=data.outputs.T,
+        simulated=simulated.T,
+        inputs=data.inputs.T,
         time=recording.time,
-        initial_state=state,
-        input_names=tuple(input_names),
-        output_names=tuple(output_names),
-        input_units=tuple(input_units),
-        output_units=tuple(output_units),
-        conditions=dict(recording.conditions),
+        initial_state=explained.initial_state,
+        input_names=data.input_names,
+        output_names=data.output_names,
+        input_units=data.input_units,
+        output_units=data.output_units,
+        conditions=data.conditions,
     )
 
 
-def selected(result: FitResult, recording: Recording) -> tuple[Selection, Selection]:
-    """Return the inputs and outputs of a fit from a recording, each as values, names and units.
-
-    Raises
-    ------
-    DataError
-        When the recording lacks a signal or has another sample time.
-    """
-    if not np.isclose(recording.sample_time, result.sample_time, rtol=1e-6, atol=0):
-        raise DataError(
-            f"recording {recording.name!r} has sample time {recording.sample_time:g} s; the model was fitted at "
-            f"{result.sample_time:g} s: resample the recording"
-        )
-    return select(recording, result.options.inputs), select(recording, result.options.outputs)
-
-
-def counted_samples(recording: Recording, left_out: Ranges) -> BoolArray | None:
-    """Return which samples count when some ranges are left out; None when all count.
-
-    Raises
-    ------
-    DataError
-        When a range lies outside the recording, or when no sample remains.
-    """
-    counted = np.ones(recording.n_samples, dtype=bool)
-    for start, stop in left_out:
-        if not 0 <= start < stop <= recording.n_samples:
-            raise DataError(
-                f"recording {recording.name!r}: left out samples {start} to {stop} are not within its "
-                f"{recording.n_samples}; correct them"
-            )
-        counted[start:stop] = False
-    if not counted.any():
-        raise DataError(f"recording {recording.name!r}: all samples are left out; keep some")
-    return None if counted.all() else counted
-
-
-def _kept(values: FloatArray, counted: BoolArray | None) -> FloatArray:
-    return values if counted is None else values[counted]
-
-
-def estimate_initial_state(
-    model: LinearModel,
-    inputs: FloatArray,
-    outputs: FloatArray,
-    sample_time: float,
-    intersample: str | Sequence[str] = "zoh",
-    *,
-    offsets: bool = False,
-    counted: BoolArray | None = None,
-) -> FloatArray:
-    """Return the initial state whose simulation is closest to the measured outputs, by least squares.
+def cross_validate_many(
+    results: Sequence[FitResult],
+    recordings: Sequence[Recording],
+    pairs: Sequence[tuple[int, int]] | None = None,
+) -> ValidationScores:
+    """Return the scores of many models on many recordings, as `cross_validate` computes them for each pair.
 
     Parameters
     ----------
-    model : LinearModel
-        Model in continuous time.
-    inputs : (n_samples, n_inputs) array
-        Input signals.
-    outputs : (n_samples, n_outputs) array
-        Measured outputs.
-    sample_time : float
-        Time between samples [s].
-    intersample : {"zoh", "foh"} or sequence of these
-        Inter-sample behaviour of the inputs.
-    offsets : bool
-        Whether a constant offset of each output is estimated together with the state. The offset is the mean of the
-        residual of the simulation from this state.
-    counted : (n_samples,) array of bool, optional
-        Samples whose outputs count; all by default.
+    results : sequence of FitResult
+        Fits of one structure to the same signals.
+    recordings : sequence of Recording
+        Validation recordings.
+    pairs : sequence of (int, int), optional
+        Pairs of model and recording, by their positions. By default each model is simulated on all recordings to which
+        it was not fitted.
 
     Returns
     -------
-    (n_states,) array
-        Least-squares solution of smallest norm.
+    ValidationScores
+
+    Raises
+    ------
+    DataError
+        As for `cross_validate`, or when there is no pair.
     """
-    n = model.n_states
-    rest = outputs - model.simulate(inputs, sample_time, intersample=intersample)
-    F = discretise(np.array(model.A), np.zeros((n, 1)), sample_time).F
-    silent = np.zeros((len(outputs), n))
-    free = np.stack([propagate(F, silent, unit) @ model.C.T for unit in np.eye(n)], axis=2)
-    if counted is not None:
-        free, rest = free[counted], rest[counted]
-    if offsets:  # without means, the constant offsets drop out of the problem
-        free, rest = free - free.mean(axis=0), rest - rest.mean(axis=0)
-    columns = free.reshape(-1, n)
-    size = np.linalg.norm(columns, axis=0)
-    size[size == 0] = 1.0
-    return np.asarray(np.linalg.lstsq(columns / size, rest.ravel(), rcond=None)[0] / size)
+    if pairs is None:
+        pairs = [
+            (i, j) for i, r in enumerate(results) for j, rec in enumerate(recordings) if rec.name not in r.recordings
+        ]
+    if not pairs:
+        raise DataError("no pair of model and recording to validate; give recordings that no model was fitted to")
+    fitted = {i: simulator(results[i]) for i in dict.fromkeys(i for i, _ in pairs)}
+    data = {j: validation_data(results[pairs[0][0]], recordings[j]) for j in dict.fromkeys(j for _, j in pairs)}
+    found = [(i, j, *score(fitted[i], data[j])) for i, j in pairs]
+    return join_scores([(" ".join(results[i].recordings), data[j], fit, norm) for i, j, fit, norm in found])
+
+
+def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
+    """Return fit percent and largest deviation of one model on one recording.
+
+    Returns
+    -------
+    fit_percent, infinity_norm : (n_outputs,) array
+        Fit in percent, and largest deviation in the units of the outputs.
+
+    Raises
+    ------
+    DataError
+        When model and recording do not fit together, or when the simulation overflows.
+    """
+    return _figures(_explain(fitted, data), data)
+
+
+def _figures(explained: Explained, data: ValidationData) -> tuple[FloatArray, FloatArray]:
+    rest = explained.residuals
+    error = np.sqrt(np.einsum("ik,ik->i", rest, rest))
+    return 100 * (1 - error / data.spread), np.abs(rest).max(axis=1)
+
+
+def _explain(fitted: Simulator, data: ValidationData) -> Explained:
+    model = fitted.model
+    if not np.isclose(data.sample_time, fitted.sample_time, rtol=1e-6, atol=0):
+        raise DataError(
+            f"recording {data.name!r} has sample time {data.sample_time:g} s; the model was fitted at "
+            f"{fitted.sample_time:g} s: resample the recording"
+        )
+    if (len(data.input_names), len(data.output_names)) != (len(model.input_names), len(model.output_names)):
+        raise DataError(
+            f"recording {data.name!r} gives the inputs {', '.join(data.input_names)} and the outputs "
+            f"{', '.join(data.output_names)}; the model has {', '.join(model.input_names)} and "
+            f"{', '.join(model.output_names)}: record the same channels"
+        )
+    explained = fitted.explain(data.inputs, data.outputs, data.counted)
+    if not np.isfinite(explained.residuals).all():
+        raise DataError(
+            f"the model of {fitted.name} overflows on recording {data.name!r}; "
+            "it is unstable: fit it again from another start, or leave it out"
+        )
+    return explained

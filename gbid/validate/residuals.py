@@ -13,8 +13,9 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.recording import Recording
-from gbid.validate.crossval import Ranges, counted_samples, estimate_initial_state
 from gbid.validate.fit_percent import fit_percent
+from gbid.validate.simulator import Simulator
+from gbid.validate.validation_data import Ranges, counted_samples
 
 _LEVEL = 0.99
 
@@ -129,19 +130,19 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
             f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth"
         )
     model, between = result.model, result.options.intersample
+    overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
-        try:
-            offsets = result.options.offsets
-            state = estimate_initial_state(model, u, y, recording.sample_time, between, offsets=offsets)
-            predicted = model.simulate(u, recording.sample_time, initial_state=state, intersample=between)
-            if offsets:
-                y = y - (y - predicted).mean(axis=0)
-            if result.options.focus == "prediction":
-                predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
-        except np.linalg.LinAlgError:  # the free responses overflow
-            predicted = np.full_like(y, np.inf)
+        fitted = Simulator(model, recording.sample_time, between, result.options.offsets)
+        state = fitted.explain(u.T, y.T).initial_state
+        if not np.isfinite(state).all():
+            raise overflow
+        predicted = fitted.run(u.T, state).T
+        if fitted.offsets:
+            y = y - (y - predicted).mean(axis=0)
+        if result.options.focus == "prediction":
+            predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
     if not np.isfinite(predicted).all():
-        raise DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
+        raise overflow
     error = y - predicted
     e, v = error - error.mean(0), u - u.mean(0)
     n, n_y, n_u = len(e), e.shape[1], v.shape[1]

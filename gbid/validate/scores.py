@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
 from gbid.brief import brief
 from gbid.errors import DataError, UsageError
+from gbid.validate.validation_data import ValidationData
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,20 +159,7 @@ class ValidationSummary:
         return brief(self, about, **outputs, failed=self.failed)
 
 
-class _Validated(Protocol):
-    """Recording or validation data to which a score belongs; read-only."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def conditions(self) -> Mapping[str, float]: ...
-    @property
-    def output_names(self) -> tuple[str, ...]: ...
-    @property
-    def output_units(self) -> tuple[str, ...]: ...
-
-
-def join_scores(found: Sequence[tuple[str, _Validated, FloatArray, FloatArray]]) -> ValidationScores:
+def join_scores(found: Sequence[tuple[str, ValidationData, FloatArray, FloatArray]]) -> ValidationScores:
     """Return the scores of single pairs joined in one table.
 
     Parameters

@@ -8,7 +8,7 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 from rig_point import machine
 
 from gbid.errors import DataError, UsageError
-from gbid.identify import fit
+from gbid.identify import fit, select
 from gbid.recording import Recording
 from gbid.rig import Prbs, record
 from gbid.structure import PiezoPair, Plant, RotorBearing
@@ -18,6 +18,7 @@ from gbid.validate import (
     check_residuals,
     cross_validate,
     cross_validate_many,
+    fit_percent,
     load_validation_summary,
     save_validation_summary,
     summarise,
@@ -35,7 +36,32 @@ def with_mean_removed(rec):
     return rec.with_signals(**{name: v - v.mean(axis=0) for name, v in rec.signals.items()})
 
 
-# ---- many against one by one ----
+def plainly(result, recording, left_out=()):
+    """Least squares over simulations from each unit state and, with offsets, over a constant in each output."""
+    u, y = (select(recording, wanted)[0] for wanted in (result.options.inputs, result.options.outputs))
+    kept = np.ones(len(y), bool)
+    for start, stop in left_out:
+        kept[start:stop] = False
+
+    def run(inputs, state):
+        return result.model.simulate(
+            inputs, recording.sample_time, initial_state=state, intersample=result.options.intersample
+        )
+
+    n = result.model.n_states
+    columns = [run(0 * u, unit) for unit in np.eye(n)]
+    if result.options.offsets:
+        columns += [np.tile(unit, (len(y), 1)) for unit in np.eye(y.shape[1])]
+    free = np.stack(columns, axis=2)
+    size = np.linalg.norm(free[kept].reshape(-1, free.shape[2]), axis=0)
+    from_rest = run(u, np.zeros(n))
+    found = np.linalg.lstsq((free[kept] / size).reshape(-1, len(size)), (y - from_rest)[kept].ravel(), rcond=None)[0]
+    simulated = from_rest + (free / size) @ found
+    norm = np.abs(y - simulated)[kept].max(axis=0)
+    return fit_percent(y[kept], simulated[kept]), norm, simulated, (found / size)[:n]
+
+
+# ---- many, one by one, and plain least squares ----
 
 
 @pytest.mark.parametrize(
@@ -62,6 +88,12 @@ def test_many_at_once_agree_with_one_by_one(recordings, structure, options):
     ones = [cross_validate(results[i], data[j]) for i, j in ((0, 1), (0, 2), (1, 0), (1, 2))]
     np.testing.assert_allclose(scores.fit_percent, [v.fit_percent for v in ones], rtol=0, atol=1e-9)
     np.testing.assert_allclose(scores.infinity_norm, [v.infinity_norm for v in ones], rtol=1e-9)
+    for (i, j), one in zip(((0, 1), (0, 2), (1, 0), (1, 2)), ones, strict=True):
+        fit_of, norm, response, state = plainly(results[i], data[j])
+        np.testing.assert_allclose(one.fit_percent, fit_of, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one.infinity_norm, norm, rtol=1e-8)
+        np.testing.assert_allclose(one.simulated, response, rtol=0, atol=1e-9 * np.abs(response).max())
+        np.testing.assert_allclose(one.initial_state, state, rtol=1e-5, atol=1e-7 * np.abs(state).max())
     assert scores.output_names == ones[0].output_names
     np.testing.assert_array_equal(scores.pressure_bar, 5.0)
 
@@ -100,6 +132,7 @@ def test_stretches_left_out_do_not_count():
     bad, left_out = clean.with_signals(y=y), [(100, 160), (0, 20)]
     found = cross_validate(result, bad, left_out)
     assert found.fit_percent[0] == pytest.approx(100, abs=1e-2)
+    np.testing.assert_allclose(found.simulated, plainly(result, bad, left_out)[2], rtol=0, atol=1e-8)
     np.testing.assert_allclose(found.initial_state, [1.0, 2.0], rtol=1e-3)
     assert found.simulated.shape == found.measured.shape == (600, 1)
     assert cross_validate(result, bad).fit_percent[0] < 50

@@ -28,8 +28,10 @@ from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.tables.csv import write_csv
 from gbid.validate import ValidationSummary, load_validation_summary, save_validation_summary, summarise
-from gbid.validate.many import Simulator, score, simulator, validation_data
+from gbid.validate.crossval import score
+from gbid.validate.simulator import Simulator, simulator
 from gbid.validate.store import summary_csv_table
+from gbid.validate.validation_data import validation_data
 
 FOLDER = "crossval"
 SUMMARY = "_summary"
