@@ -29,6 +29,8 @@ from gbid.report.paper.table import reproduction_markdown
 from gbid.report.reader import Results
 from gbid.share import share_folder
 from gbid.structure import KEY_PARAMETERS
+from gbid.tables.csv import csv_text
+from gbid.tables.markdown import markdown_table
 from gbid.validate import ValidationScores, summarise
 
 NUMBERS = {number.id: number for number in paper_numbers()}
@@ -265,12 +267,12 @@ def test_tables_hold_what_the_model_file_says(small):
     path, out = small
     results = Results(Job(load_experiment(path, out)))
     table = tables.actuator_table(results)
-    rows = [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+    rows = [dict(zip((column.heading for column in table.columns), row, strict=True)) for row in table.rows]
     assert {row["parameter"]: row["published"] for row in rows} == dict(machine().actuators)
     assert {row["parameter"]: row["value"] for row in rows} == results.nominal.parameters
-    read = list(csv.DictReader(tables.controller_table(results).csv().splitlines()))
+    read = list(csv.DictReader(csv_text(tables.controller_table(results)).splitlines()))
     assert [float(row["gain [m/m]"]) for row in read] == [0.926, 0.927, 0.220, 0.640]
-    assert tables.machine_table(results).markdown().count("\n| ") == 2 + len(machine().rig)
+    assert markdown_table(tables.machine_table(results)).count("\n| ") == 2 + len(machine().rig)
 
 
 def test_rows_without_results_are_missing_with_the_reason(small):
@@ -280,7 +282,7 @@ def test_rows_without_results_are_missing_with_the_reason(small):
     assert rows["rms_omega_1"].why == "no section 'lpv'; add one"
     assert "static" in rows["static_rms_xx"].why
     text = reproduction_markdown(stage.reproduction_document(list(rows.values())))
-    assert text.count("\n| ") == 1 + len(rows)
+    assert text.count("\n| ") == 2 + len(rows)  # the title, and the ruler below the headings
     result = call("reproduce", path, "--results", out, "--json")
     document = json.loads(result.stdout)
     assert len(document["rows"]) == len(NUMBERS)

@@ -23,6 +23,7 @@ from gbid.report.paper.table import reproduction_markdown
 from gbid.report.paper.tables import TABLES
 from gbid.report.reader import Results
 from gbid.report.reader.designs import comparable_designs
+from gbid.tables.table import value_of
 
 YAML = """\
 format: 1
@@ -84,9 +85,9 @@ def test_only_designs_on_the_same_terms_are_compared(results) -> None:
 
 def test_table_of_designs_has_what_the_tuning_stored(made, results) -> None:
     table = TABLES["designs"](results)
-    assert table.columns == ("figure", "feedback", "held", "published")
+    assert tuple(column.heading for column in table.columns) == ("figure", "feedback", "held", "published")
     stored = load_tuned(made.parent / "results" / "designs" / "controller" / "feedback.h5")
-    rows = {row[0]: row[1:] for row in table.rows}
+    rows = {row[0]: [value_of(cell) for cell in row[1:]] for row in table.rows}
     assert rows["smallest damping"][0] == pytest.approx(stored.performance[0].worst["damping"][0], abs=5e-4)
     assert rows["stack [um]"][2] == pytest.approx(1e6 * stored.performance[1].worst["stack_travel_m"][0], abs=5e-3)
 
@@ -98,7 +99,7 @@ def test_impacts_of_each_loop_stand_beside(results) -> None:
         results.beside_at(True)
     table = TABLES["designs_impacts"](results)
     assert [row[1:3] for row in table.rows] == [(label, axis) for label in loops for axis in "xy"]
-    column = table.columns.index("disc [um]")
+    column = [column.heading for column in table.columns].index("disc [um]")
     assert table.rows[0][column] == pytest.approx(1e6 * loops["open loop"].figures[0].peak_m)
 
 

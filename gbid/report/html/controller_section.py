@@ -10,24 +10,26 @@ from gbid.errors import GbidError
 from gbid.operating_point import point_label
 from gbid.report.html.design_pictures import design_pictures
 from gbid.report.html.explorer import explorer_part
-from gbid.report.html.page import Block, Fold, Listed, PageSection, Table, Words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.html.tuned_blocks import tuned_blocks
 from gbid.report.reader import Results
-from gbid.report.reader.designs import AssessedDesign, conditions_words, design_rows
+from gbid.report.reader.designs import AssessedDesign, conditions_words
+from gbid.report.tables.tuning_tables import comparison_table
+from gbid.tables.table import Column, Table
 
 TITLE = "Controller"
 _BY_POINT = (
-    ("damping", "damping", 1.0, ".3f"),
-    ("peak S_o", "peak_output", 1.0, ".3f"),
-    ("peak K S_o", "peak_control", 1.0, ".3f"),
-    ("static S_o", "static_amplification", 1.0, ".2f"),
-    ("slowest decay [Hz]", "slowest_decay_hz", 1.0, ".1f"),
-    ("disc [µm]", "impact_p_m", 1e6, ".2f"),
-    ("stack [µm]", "stack_travel_m", 1e6, ".2f"),
-    ("sampled damping", "sampled_damping", 1.0, ".3f"),
+    ("damping", "", "damping", 1.0, ".3f"),
+    ("peak S_o", "", "peak_output", 1.0, ".3f"),
+    ("peak K S_o", "", "peak_control", 1.0, ".3f"),
+    ("static S_o", "", "static_amplification", 1.0, ".2f"),
+    ("slowest decay", "Hz", "slowest_decay_hz", 1.0, ".1f"),
+    ("disc", "µm", "impact_p_m", 1e6, ".2f"),
+    ("stack", "µm", "stack_travel_m", 1e6, ".2f"),
+    ("sampled damping", "", "sampled_damping", 1.0, ".3f"),
 )
-"""Heading, figure, factor and format of the table by operating point."""
+"""Heading, unit, figure, factor and format of the table by operating point."""
 
 
 def controller_section(results: Results, pictures: Pictures) -> PageSection:
@@ -78,12 +80,11 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
     points = first.figures.points
     where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
     words = conditions_words(first.impact, first.sample_time, first.method)
-    rows = [(row[0].replace("um", "µm"), *row[1:]) for row in design_rows(design.figures for design in designs)]
     gains = [
         f"{d.name}: " + ", ".join(f"{key} = {value:.4g}" for key, value in d.figures.gains.items()) for d in designs
     ]
-    caption = f"Designs on {first.plant.name}, worst over {where}; {words}"
-    return [Table(caption, ("figure", *(d.name for d in designs)), rows), Listed(gains)]
+    title = f"Designs on {first.plant.name}, worst over {where}"
+    return [comparison_table(title, [design.figures for design in designs], words), Listed(gains)]
 
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
@@ -100,26 +101,28 @@ def _modes(results: Results, design: AssessedDesign) -> list[Block]:
             rows.append(
                 (
                     f"{point_label(*point)}, {known.loop} loop, mode {k + 1}",
-                    f"{found[k][0]:.1f}" if k < len(found) else "–",
-                    f"{frequency:.1f}",
-                    f"{found[k][1]:.3f}" if k < len(found) else "–",
-                    f"{damping:.3f}",
+                    found[k][0] if k < len(found) else None,
+                    frequency,
+                    found[k][1] if k < len(found) else None,
+                    damping,
                     known.source,
                 )
             )
     if not rows:
         return []
-    columns = ("where", "frequency [Hz]", "paper [Hz]", "damping", "paper", "source")
-    return [Table("Modes with the published gains, beside the paper's", columns, rows, left=("source",))]
+    columns = [
+        Column("where"),
+        *(Column(name, "Hz", ".1f") for name in ("frequency", "paper")),
+        *(Column(name, format=".3f") for name in ("damping", "paper")),
+        Column("source"),
+    ]
+    return [Table("Modes with the published gains, beside the paper's", columns, rows)]
 
 
 def _by_point(design: AssessedDesign) -> Block:
     rows = [
-        (
-            point_label(*point),
-            *(format(factor * figures[FIGURES.index(name)], form) for _, name, factor, form in _BY_POINT),
-        )
-        for point, figures in zip(design.figures.points, design.figures.figures, strict=True)
+        (point_label(*point), *(factor * figures[FIGURES.index(name)] for _, _, name, factor, _ in _BY_POINT))
+        for point, figures in zip(design.figures.points, design.figures.figures.tolist(), strict=True)
     ]
-    columns = ("operating point", *(heading for heading, *_ in _BY_POINT))
+    columns = [Column("operating point"), *(Column(name, unit, form) for name, unit, _, _, form in _BY_POINT)]
     return Fold(f"{design.name} at each operating point", [Table(design.name, columns, rows)])

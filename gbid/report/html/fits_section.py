@@ -9,25 +9,14 @@ from typing import Any
 from gbid.errors import DataError
 from gbid.experiment.stages.crossval.pairing import validate_pair
 from gbid.experiment.stages.fit.plan import recordings_of
-from gbid.report.html.page import (
-    Block,
-    Cell,
-    Fold,
-    Link,
-    Listed,
-    PageSection,
-    Table,
-    Templated,
-    Words,
-    fit_href,
-    point_words,
-)
+from gbid.report.html.page import Block, Fold, Link, Listed, PageSection, Templated, Words, fit_href, point_words
 from gbid.report.html.traces import trace
 from gbid.report.reader import Results
 from gbid.report.reader.fits import MadeFit
 from gbid.report.reader.standings import Standing
 from gbid.report.tables.fit_summary import summary_lines
 from gbid.tables.numbers import engineering, shown_unit
+from gbid.tables.table import Cell, Column, Entry, Table
 
 _NAMED = 5
 
@@ -40,10 +29,8 @@ def fits_section(results: Results) -> PageSection:
     blocks: list[Block] = []
     lost = lost_fits(results)
     if lost:
-        rows = [(Link(f.item, f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
-        blocks.append(
-            Table("Fits that are not there", ("fit", "state", "reason"), rows, left=("fit", "state", "reason"))
-        )
+        rows = [(Cell(f.item, href=f"#fit&{f.item.replace('/', '%2F')}"), f.state, f.text) for f in lost]
+        blocks.append(Table("Fits that are not there", [Column("fit"), Column("state"), Column("reason")], rows))
     for name in results.experiment.spec.fits:
         there = [q for q in results.fits if q.fit == name]
         if there:
@@ -91,15 +78,20 @@ def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Blo
     by_point: dict[str, list[MadeFit]] = {}
     for q in there:
         by_point.setdefault(_place(results, q), []).append(q)
-    rows: list[list[Cell]] = []
+    rows: list[list[Entry]] = []
     for point, fits in by_point.items():
         worst = min(fits, key=_smallest)
-        medians = [f"{median(float(q.result.fit_percent[:, j].mean()) for q in fits):.2f}" for j in range(len(outputs))]
-        link = Link(f"{worst.model} ({_smallest(worst):.2f} %)", fit_href(name, worst.model))
-        rows.append([point, str(len(fits)), str(sum(q.result.success for q in fits)), *medians, link])
-    columns = ("operating point", "fits", "converged", *(f"{output} [%]" for output in outputs), "worst")
+        medians = [median(float(q.result.fit_percent[:, j].mean()) for q in fits) for j in range(len(outputs))]
+        link = Cell(f"{worst.model} ({_smallest(worst):.2f} %)", href=fit_href(name, worst.model))
+        rows.append([point, len(fits), sum(q.result.success for q in fits), *medians, link])
+    columns = [
+        Column("operating point"),
+        *(Column(name, format="d") for name in ("fits", "converged")),
+        *(Column(output, "%", ".2f") for output in outputs),
+        Column("worst"),
+    ]
     caption = f"{name}: median fit on its own recording ({own}), by operating point"
-    blocks: list[Block] = [Table(caption, columns, rows, left=("worst",))]
+    blocks: list[Block] = [Table(caption, columns, rows)]
     if len(there) > 2 * _NAMED:
         ordered = sorted(there, key=_smallest)
         for word, chosen in (("worst", ordered[:_NAMED]), ("best", ordered[: -_NAMED - 1 : -1])):

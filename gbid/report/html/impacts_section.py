@@ -7,11 +7,12 @@ from typing import Any
 
 from gbid.errors import UsageError
 from gbid.operating_point import point_label
-from gbid.report.html.page import Block, PageSection, Shown, Table, Words
+from gbid.report.html.page import Block, PageSection, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.impact_loops import impact_loops_data, plot_impact_loops
 from gbid.report.reader import Results
 from gbid.report.tables.impact_tables import IMPACT_FIGURES, impact_document
+from gbid.tables.table import Column, Entry, Table
 
 TITLE = "Impacts"
 _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
@@ -26,7 +27,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
     came = results.rig.reference_modes if results.rig is not None else ()
     published = [modes for modes in came if modes.loop == "open" or section.controller == "paper"]
     modes: list[list[str]] = []
-    responses: list[list[str]] = []
+    responses: list[list[Entry]] = []
     impacts: list[list[str]] = []
     for name, study in results.studies.found.items():
         document = impact_document(name, study, results.experiment.results, published)
@@ -36,7 +37,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
         for row in document["responses"]:
             impacts.append([row["recording"], where, *(_figure(row, *figure) for figure in IMPACT_FIGURES)])
             scale = f"{row['force_scale [1/kg]']:.4f} ± {row['force_scale_std [1/kg]']:.4f}"
-            responses.append([row["recording"], where, str(row["impacts"]), scale, f"{row['fit_along [%]']:.1f}"])
+            responses.append([row["recording"], where, row["impacts"], scale, row["fit_along [%]"]])
         blocks += [Words(f"{where}: {note}", "warn") for note in document["notes"]]
         if not document["success"]:
             tone = "" if study.ringdown.aperiodic else "bad"
@@ -48,13 +49,19 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
             for word in ("expected", "as it runs", "from impacts", "paper's")
         ]
         caption = "Modes expected from the model, expected of the sampled loop, and obtained from the impacts"
-        blocks.insert(0, Table(caption, ("where", *heads), modes))
+        blocks.insert(0, Table(caption, [Column("where"), *(Column(head, format=4) for head in heads)], modes))
     if responses:
-        columns = ("recording", "where", "impacts", "force scale [1/kg]", "fit along the impact [%]")
-        blocks.append(Table("Measured against simulated responses", columns, responses, left=("where",)))
-        columns = ("recording", "where", "disc up to [µm]", "over after [ms]", "piezo up to [µm]")
+        place = [Column("recording"), Column("where")]
+        columns = [
+            *place,
+            Column("impacts", format="d"),
+            Column("force scale", "1/kg"),
+            Column("fit along the impact", "%", ".1f"),
+        ]
+        blocks.append(Table("Measured against simulated responses", columns, responses))
+        columns = [*place, Column("disc up to", "µm"), Column("over after", "ms"), Column("piezo up to", "µm")]
         caption = "After an impact: mean ± standard deviation, simulated in brackets; over: 95 % of the energy"
-        blocks.append(Table(caption, columns, impacts, left=("where",)))
+        blocks.append(Table(caption, columns, impacts))
     return PageSection("impacts", TITLE, [*_pictured(pictures, results), *blocks])
 
 

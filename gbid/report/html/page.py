@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from gbid.experiment.experiment import Experiment
 from gbid.operating_point import point_label
 from gbid.report.html.pictures import Picture
+from gbid.tables.table import Table
 
 
 @dataclass(frozen=True)
@@ -17,9 +18,6 @@ class Link:
 
     text: str
     href: str
-
-
-Cell = str | Link
 
 
 @dataclass(frozen=True)
@@ -35,19 +33,8 @@ class Words:
 class Listed:
     """A list."""
 
-    items: Sequence[Cell]
+    items: Sequence[str | Link]
     kind: ClassVar[str] = "list"
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table; the first cell of a row is its name. Columns named in `left` are set to the left, others are numbers."""
-
-    caption: str
-    columns: Sequence[str]
-    rows: Sequence[Sequence[Cell]]
-    left: Sequence[str] = ()
-    kind: ClassVar[str] = "table"
 
 
 @dataclass(frozen=True)

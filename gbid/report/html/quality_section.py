@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from gbid.report.html.page import Block, Fold, Listed, PageSection, Table, Words, in_units, point_words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Words, in_units, point_words
 from gbid.report.reader import Results
+from gbid.tables.table import Column, Table
 
 ALIKE = 0.5
 """Correlation of the two excitations above which their effects are hard to tell apart."""
@@ -33,18 +34,19 @@ def quality_section(results: Results) -> PageSection:
         spread = [
             ", ".join(f"{channel} {in_units(rms, q.units[signal])}" for channel, rms, _ in q.signals[signal])
             if signal in q.signals
-            else "–"
+            else None
             for signal in _signals(results)
         ]
-        alike_text = "–" if q.alike is None else f"{q.alike:+.3f}"
         length = f"{q.duration:g} s, {q.n_samples}"
-        rows.append((q.name, point_words(results.experiment, q.name), length, *spread, alike_text))
+        rows.append((q.name, point_words(results.experiment, q.name), length, *spread, q.alike))
     headings = [f"{name}, rms" for name in _signals(results)]
     table = Table(
         "Excited recordings: rms about the mean of each channel, correlation of the two excitations",
-        ("recording", "operating point", "length, samples", *headings, "correlation x, y"),
+        [
+            *map(Column, ("recording", "operating point", "length, samples", *headings)),
+            Column("correlation x, y", format="+.3f"),
+        ],
         rows,
-        left=("operating point", "length, samples", *headings),
     )
     blocks.append(Fold(f"Excitation of {len(rows)} recordings", [table]) if len(rows) > 12 else table)
     blocks += _prefilter(results)
@@ -67,20 +69,25 @@ def _prefilter(results: Results) -> list[Block]:
     words = f"Run-out map: {section.method}; median: {median}; mean {'removed' if section.remove_mean else 'kept'}."
     table = Table(
         "What the prefilter took out of the disc position",
-        ("recording", "channel", "rms before [nm]", "rms after [nm]", "offset [nm]", "run-out share [%]", "spikes"),
+        [
+            Column("recording"),
+            Column("channel"),
+            Column("rms before", "nm", ".1f"),
+            Column("rms after", "nm", ".1f"),
+            Column("offset", "nm", ".2f"),
+            Column("run-out share", "%", ".2f"),
+            Column("spikes", format="d"),
+        ],
         [
             (
                 row["recording"],
                 row["channel"],
-                f"{_NANO * row['rms_before']:.1f}",
-                f"{_NANO * row['rms_after']:.1f}",
-                f"{_NANO * row['offset']:.2f}",
-                f"{100 * row['runout_share']:.2f}",
-                str(row["spikes"]),
+                *(_NANO * row[key] for key in ("rms_before", "rms_after", "offset")),
+                100 * row["runout_share"],
+                row["spikes"],
             )
             for row in rows
         ],
-        left=("channel",),
     )
     blocks: list[Block] = [Words(words)]
     if worse:

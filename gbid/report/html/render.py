@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from gbid._version import __version__
 from gbid.report.html.page import PageSection
+from gbid.tables.html import html_table
 
 SCRIPTS = ("charts.js", "explorer_math.js", "explorer.js", "fits.js", "page.js")
 
@@ -38,6 +39,7 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
     environment.filters["embedded"] = _embedded
+    environment.filters["html_table"] = lambda table: Markup(html_table(table))
     page = environment.get_template("report.html.j2")
     return page.render(
         title=title or name,

@@ -5,14 +5,14 @@ from __future__ import annotations
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.errors import DataError, UsageError
 from gbid.operating_point import point_label
-from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Table, Words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.of_results import piezo_data, static_map_data
 from gbid.report.piezos import plot_piezo_hysteresis, plot_piezo_staircase
 from gbid.report.reader import Results
 from gbid.report.static_map import plot_static_map
 from gbid.report.tables.static_tables import static_document
-from gbid.tables.numbers import engineering
+from gbid.tables.table import Column, Table
 
 _MICROMETRES = 1e6
 
@@ -39,18 +39,17 @@ def _map(results: Results, pictures: Pictures) -> list[Block]:
     rows = [
         (
             f"{row['input']} to {row['output']}",
-            *(
-                engineering(row[key], digits) if row[key] is not None else "–"
-                for key, digits in (("gain", 4), ("std", 2))
-            ),
-            *(
-                engineering(_MICROMETRES * row[key], 3) if row[key] is not None else "–"
-                for key in ("rms", "largest", "hysteresis")
-            ),
+            *(row[key] for key in ("gain", "std")),
+            *(None if row[key] is None else _MICROMETRES * row[key] for key in ("rms", "largest", "hysteresis")),
         )
         for row in static_document("", found)["gains"]
     ]
-    columns = ("static gain", "value", "std", "rms off linear [µm]", "largest [µm]", "hysteresis [µm]")
+    columns = [
+        Column("static gain"),
+        Column("value", format=4),
+        Column("std", format=2),
+        *(Column(name, "µm", 3) for name in ("rms off linear", "largest", "hysteresis")),
+    ]
     alt = f"Steady disc position over piezo position, {place}: rising and falling plateaus with a straight line"
     blocks: list[Block] = [
         Shown(pictures.picture(plot_static_map(static_map_data(found), title=place), alt)),
@@ -68,12 +67,16 @@ def _piezos(results: Results, pictures: Pictures) -> list[Block]:
         (
             f"{curve.channel}, {_how(curve)}",
             f"{_MICROMETRES * curve.hysteresis:.3f} ± {_MICROMETRES * curve.hysteresis_std:.1g}",
-            f"{100 * curve.hysteresis_share:.2f}",
-            f"{100 * curve.uniformity:.2f}",
+            100 * curve.hysteresis_share,
+            100 * curve.uniformity,
         )
         for curve in curves
     ]
-    columns = ("piezo", "hysteresis [µm]", "of its range [%]", "steps not alike by [%]")
+    columns = [
+        Column("piezo"),
+        Column("hysteresis", "µm"),
+        *(Column(name, "%", ".2f") for name in ("of its range", "steps not alike by")),
+    ]
     over_time = pictures.picture(plot_piezo_staircase(data), "Staircase of the piezo over time")
     return [
         Shown(pictures.picture(plot_piezo_hysteresis(data), f"Hysteresis of the piezo: {said}")),

@@ -6,10 +6,11 @@ from collections import Counter
 
 from gbid.errors import GbidError
 from gbid.report.html.fits_section import lost_fits
-from gbid.report.html.page import Block, Link, Listed, PageSection, Table, Words
+from gbid.report.html.page import Block, Link, Listed, PageSection, Words
 from gbid.report.html.surfaces_section import LACK
 from gbid.report.html.tuned_blocks import held_back
 from gbid.report.reader import Results
+from gbid.tables.table import Column, Entry, Table
 
 _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltered", "fit": "fits"}
 
@@ -86,8 +87,9 @@ def summary_section(results: Results, found: list[Link]) -> PageSection:
     for f in results.standings:
         counts.setdefault(_STAGES[f.stage], Counter())[f.state] += 1
     states = ("there", "failed", "missing", "stale")
-    rows = [(stage, *(str(count[state]) for state in states)) for stage, count in counts.items()]
-    blocks.append(Table("Results", ("stage", "there", "failed", "not made", "of other settings"), rows))
+    rows: list[tuple[Entry, ...]] = [(stage, *(count[state] for state in states)) for stage, count in counts.items()]
+    heads = ("there", "failed", "not made", "of other settings")
+    blocks.append(Table("Results", [Column("stage"), *(Column(head, format="d") for head in heads)], rows))
     return PageSection("summary", "At a glance", blocks)
 
 

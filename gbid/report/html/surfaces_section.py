@@ -9,13 +9,14 @@ import numpy as np
 from gbid.errors import GbidError
 from gbid.lpv import LPVFit
 from gbid.lpv.basis import TERMS
-from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Table, Words
+from gbid.report.html.page import Block, Fold, Listed, PageSection, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.over_pressure import modes_data, plot_over_pressure
 from gbid.report.reader import Results
 from gbid.report.surfaces import plot_surfaces, surfaces_data
 from gbid.structure import KEY_PARAMETERS
-from gbid.tables.numbers import engineering, shown_unit
+from gbid.tables.numbers import shown_unit
+from gbid.tables.table import Column, Entry, Table
 
 _GROUPS = {
     "stiffness": ("k_xx", "k_xy", "k_yx", "k_yy"),
@@ -55,15 +56,14 @@ def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[
     lacking = [key for key, p in zip(KEY_PARAMETERS, fit.lack_of_fit, strict=True) if p < LACK]
     if lacking:
         blocks.append(Words(f"The surfaces miss the means of {', '.join(lacking)} by more than chance.", "warn"))
-    rows = []
+    rows: list[tuple[Entry, ...]] = []
     for d in fit.deviations:
         factor, unit = shown_unit(d.unit)
-        paper = [engineering(factor * d.published_rms, 3)] if published else []
-        rows.append(
-            (d.name, unit, engineering(factor * d.rms, 3), *paper, engineering(factor * d.largest, 3), d.recording)
-        )
-    columns = ("", "unit", "rms", *(["paper's rms"] if published else []), "largest", "where")
-    blocks.append(Table("What the estimates lie off the surfaces", columns, rows, left=("unit", "where")))
+        paper = [factor * d.published_rms] if published else []
+        rows.append((d.name, unit, factor * d.rms, *paper, factor * d.largest, d.recording))
+    heads = ("rms", *(["paper's rms"] if published else []), "largest")
+    columns = [Column(""), Column("unit"), *(Column(name, format=3) for name in heads), Column("where")]
+    blocks.append(Table("What the estimates lie off the surfaces", columns, rows))
     estimates = {key: fit.estimates.values[:, i] for i, key in enumerate(KEY_PARAMETERS)}
     for i, (word, names) in enumerate(_GROUPS.items()):
         data = surfaces_data(fit.model, names, points=points, estimates=estimates, n=11)
@@ -81,7 +81,7 @@ def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[
     std = np.sqrt(np.diag(fit.covariance)).reshape(-1, len(TERMS))
     table = Table(
         "Coefficients, SI per kg, per bar and rpm; in brackets the standard deviation",
-        ("parameter", *TERMS),
+        [Column("parameter"), *(Column(term, format=4) for term in TERMS)],
         [
             (key, *(f"{c:.4g} ({s:.1g})" for c, s in zip(fit.model.coefficients[key], row, strict=True)))
             for key, row in zip(KEY_PARAMETERS, std, strict=True)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import GbidError
-from gbid.report.html.page import Block, Listed, Shown, Table, Words
+from gbid.report.html.page import Block, Listed, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.reader import Results
 from gbid.report.tuning import designs_pareto_data, plot_pareto
+from gbid.tables.table import Column, Table
 
 
 def held_back(design: TunedDesign) -> list[str]:
@@ -36,10 +37,10 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
         result, unit = design.result, " 1/s" if design.result.objective == "decay" else ""
         worst = f"{result.worst.frequency_hz:.1f} Hz, damping {result.worst.damping:.3f}, {result.worst.where}"
         held = ", ".join(result.active) or "–"
-        rows.append((name, result.status, f"{result.value:.4f}{unit}", worst, held, result.verified_on))
+        rows.append((name, str(result.status), f"{result.value:.4f}{unit}", worst, held, result.verified_on))
         blocks += [Words(f"{name}: {text}", "warn") for text in held_back(design)]
     columns = ("design", "status", "aim reached", "worst mode", "held back by", "checked")
-    blocks.append(Table("What the tuning found", columns, rows, left=columns))
+    blocks.append(Table("What the tuning found", [Column(name) for name in columns], rows))
     notes = [f"{name}: {note}" for name, design in tuned.items() for note in design.result.notes]
     if notes:
         blocks.append(Listed(notes))

@@ -10,10 +10,11 @@ from gbid.errors import GbidError
 from gbid.experiment.stages.crossval.rows import CrossvalRow
 from gbid.operating_point import point_label
 from gbid.report.across import plot_actuator_parameters, plot_fit_histogram
-from gbid.report.html.page import Block, Cell, Fold, Link, Listed, PageSection, Shown, Table, Words, fit_href, in_units
+from gbid.report.html.page import Block, Fold, Link, Listed, PageSection, Shown, Words, fit_href
 from gbid.report.html.pictures import Pictures
 from gbid.report.of_results import crossval_data, nominal_data
 from gbid.report.reader import Results
+from gbid.tables.table import Cell, Column, Entry, Table, formatted
 from gbid.validate import ValidationSummary
 
 PAPER = {
@@ -44,7 +45,7 @@ def _validated(
     results: Results, pictures: Pictures, name: str, rows: Sequence[CrossvalRow], summary: ValidationSummary
 ) -> list[Block]:
     paper = PAPER.get(results.experiment.spec.fits[name].structure, {}) if results.published else {}
-    table: list[list[Cell]] = []
+    table: list[list[Entry]] = []
     for j, (output, unit) in enumerate(zip(summary.output_names, summary.output_units, strict=True)):
         poor = next(pair for pair in summary.worst if pair.output == output)
         spread = "–" if np.isnan(summary.std[j]) else f"{summary.std[j]:.2g}"
@@ -53,23 +54,23 @@ def _validated(
                 output,
                 f"{summary.mean[j]:.2f} ± {spread}",
                 *([paper.get(output, "–")] if paper else []),
-                f"{summary.least[j]:.2f}",
-                in_units(summary.infinity_norm_max[j], unit),
-                Link(f"model of {poor.model} on {poor.recording}", fit_href(name, poor.model)),
+                float(summary.least[j]),
+                formatted(float(summary.infinity_norm_max[j]), ".3g", unit),
+                Cell(f"model of {poor.model} on {poor.recording}", href=fit_href(name, poor.model)),
             ]
         )
     columns = [
-        "output",
-        "fit, mean ± std [%]",
-        *(["paper [%]"] if paper else []),
-        "least [%]",
-        "largest error",
-        "worst pair",
+        Column("output"),
+        Column("fit, mean ± std", "%"),
+        *([Column("paper", "%")] if paper else []),
+        Column("least", "%", ".2f"),
+        Column("largest error", format=3),
+        Column("worst pair"),
     ]
     words = (
         f"{name}: {summary.n_models} models on {summary.n_recordings} recordings, {summary.n_pairs} pairs, simulated"
     )
-    blocks: list[Block] = [Table(words, columns, table, left=("worst pair",))]
+    blocks: list[Block] = [Table(words, columns, table)]
     if paper:
         words = (
             "The paper's figures are those of 86 recordings of the real machine; noise and scatter of this rig differ."
@@ -89,33 +90,41 @@ def _validated(
     whole = "all pairs" if len(rows) <= _LISTED else f"the worst {_LISTED} of {len(rows)}"
     pairs = Table(
         f"{name}, {whole}",
-        ("model of", "on", "output", "fit [%]", "largest error", "residuals"),
+        [
+            *map(Column, ("model of", "on", "output")),
+            Column("fit", "%", ".2f"),
+            Column("largest error", format=3),
+            Column("residuals"),
+        ],
         [
             (
-                Link(row.model, fit_href(name, row.model)),
+                Cell(row.model, href=fit_href(name, row.model)),
                 row.recording,
                 row.output,
-                f"{row.fit_percent:.2f}",
-                in_units(row.infinity_norm, row.unit),
+                row.fit_percent,
+                formatted(row.infinity_norm, ".3g", row.unit),
                 {None: "not tested", True: "white", False: "not white"}[row.residuals_white]
                 + (f", follow {' '.join(row.residuals_follow)}" if row.residuals_follow else ""),
             )
             for row in worst
         ],
-        left=("on", "output", "residuals"),
     )
     blocks.append(Fold(f"{name}: {whole}", [pairs]))
     if len(summary.points) > 1:
         points = Table(
             f"{name}, by operating point",
-            ("operating point", "pairs", *(f"{output} [%]" for output in summary.output_names)),
+            [
+                Column("operating point"),
+                Column("pairs", format="d"),
+                *(Column(output, "%", ".2f") for output in summary.output_names),
+            ],
             [
                 (
                     point_label(point.pressure_bar, point.speed_rpm)
                     if point.pressure_bar == point.pressure_bar
-                    else "–",
-                    str(point.n_pairs),
-                    *(f"{mean:.2f}" for mean in point.mean),
+                    else None,
+                    point.n_pairs,
+                    *map(float, point.mean),
                 )
                 for point in summary.points
             ],
@@ -141,13 +150,18 @@ def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
     )
     table = Table(
         "Parameters of the nominal actuator",
-        ("parameter", "value", "std", "median of all"),
+        [
+            Column("parameter"),
+            Column("value", format=".5g"),
+            Column("std", format=".2g"),
+            Column("median of all", format=".5g"),
+        ],
         [
             (
                 name,
-                f"{nominal.parameters[name]:.5g}",
-                f"{nominal.std[name]:.2g}",
-                f"{np.median(nominal.values[:, i]):.5g}",
+                nominal.parameters[name],
+                nominal.std[name],
+                float(np.median(nominal.values[:, i])),
             )
             for i, name in enumerate(names)
         ],

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,11 @@ from gbid.report.figures import save_figure
 from gbid.report.paper.figures import FIGURES
 from gbid.report.paper.reproduction import ReproductionRow, counts, reproduction
 from gbid.report.paper.table import reproduction_markdown
-from gbid.report.paper.tables import TABLES, PaperTable
+from gbid.report.paper.tables import TABLES
 from gbid.report.reader import Results
+from gbid.tables.csv import csv_text
+from gbid.tables.markdown import markdown_table
+from gbid.tables.table import Table, plain_table
 
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")
@@ -89,7 +93,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     document = reproduction_document(rows, past_the_paper(results))
     writers: dict[str, Callable[[], str]] = {
         ".json": lambda: json.dumps(document, indent=1, allow_nan=False) + "\n",
-        ".csv": lambda: _as_table(rows).csv(),
+        ".csv": lambda: csv_text(_as_table(rows)),
         ".md": lambda: reproduction_markdown(document),
     }
     outcomes = []
@@ -102,7 +106,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
     return outcomes, document
 
 
-def past_the_paper(results: Results) -> list[PaperTable]:
+def past_the_paper(results: Results) -> list[Table]:
     """Tables of what the paper has no figures for, as far as the results allow: tuned designs, on paper and hit."""
     found = []
     for name in PAST:
@@ -111,19 +115,25 @@ def past_the_paper(results: Results) -> list[PaperTable]:
     return found
 
 
-def reproduction_document(rows: list[ReproductionRow], past: Sequence[PaperTable] = ()) -> dict[str, Any]:
+def reproduction_document(rows: list[ReproductionRow], past: Sequence[Table] = ()) -> dict[str, Any]:
     """All rows as plain values, how many have which verdict, and tables of what the paper has no figures for."""
     return {
         "counts": dict(counts(rows)),
         "rows": [row.document() for row in rows],
-        "past_the_paper": [table.document() for table in past],
+        "past_the_paper": [_finite(table.document()) for table in past],
     }
 
 
-def _as_table(rows: list[ReproductionRow]) -> PaperTable:
+def _finite(document: dict[str, Any]) -> dict[str, Any]:
+    """Document of a table without numbers that JSON does not know."""
+    rows = [[None if isinstance(v, float) and not isfinite(v) else v for v in row] for row in document["rows"]]
+    return {**document, "rows": rows}
+
+
+def _as_table(rows: list[ReproductionRow]) -> Table:
     columns = ("where", "quantity", "unit", "paper", "ours", "ours_std", "deviation", "scatter", "verdict", "why")
     documents = [row.document() for row in rows]
-    return PaperTable("The paper's figures and ours", columns, tuple(tuple(d[c] for c in columns) for d in documents))
+    return plain_table(columns, [[document[name] for name in columns] for document in documents])
 
 
 def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcome], left_out: list[LeftOut]) -> None:
@@ -152,11 +162,11 @@ def _figure(
 
 
 def _table(
-    job: Job, results: Results, name: str, make: Callable[[Results], PaperTable], sources: list[str]
+    job: Job, results: Results, name: str, make: Callable[[Results], Table], sources: list[str]
 ) -> list[Outcome]:
     table = make(results)
     outcomes = []
-    for ending, text in ((".csv", table.csv()), (".md", table.markdown())):
+    for ending, text in ((".csv", csv_text(table)), (".md", markdown_table(table))):
         key = content_key("paper table", {"name": name, "kind": ending, "text": text}, sources)
         write = partial(_write_text, partial(_with_key, partial(str, text), ending, key))
         outcomes.append(produce(job, "table", f"{name}{ending}", job.path(FOLDER, name, ending), key, write))

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,60 +12,24 @@ from gbid.errors import DataError
 from gbid.lpv import TERMS
 from gbid.operating_point import point_label
 from gbid.report.reader import Results
-from gbid.report.reader.designs import conditions_words, design_performances, design_rows
+from gbid.report.reader.designs import conditions_words, design_performances
+from gbid.report.tables.tuning_tables import comparison_table
 from gbid.structure import KEY_PARAMETERS
-from gbid.tables.numbers import engineering
+from gbid.tables.table import Column, Entry, Table
 
-Cell = str | float | int | None
 _UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)", "tau": "s"}
 _PER = ("", "/bar", "/rpm", "/(bar rpm)", "/bar^2", "/rpm^2")
-_DIGITS = 4
 
 
-@dataclass(frozen=True)
-class PaperTable:
-    """A table.
-
-    Attributes
-    ----------
-    title : str
-    columns : tuple of str
-    rows : tuple of tuples
-        Texts and numbers; None where there is nothing.
-    """
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
-
-    def document(self) -> dict[str, Any]:
-        """Return plain values."""
-        return {"title": self.title, "columns": list(self.columns), "rows": [list(row) for row in self.rows]}
-
-    def csv(self) -> str:
-        """Write it as csv, numbers in full."""
-        text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerow(self.columns)
-        writer.writerows(["" if cell is None else cell for cell in row] for row in self.rows)
-        return text.getvalue()
-
-    def markdown(self) -> str:
-        """Write it as Markdown, numbers with four digits."""
-        lines = [self.columns, tuple("---" for _ in self.columns), *(tuple(map(_shown, row)) for row in self.rows)]
-        body = "\n".join("| " + " | ".join(map(str, line)) + " |" for line in lines)
-        return f"**{self.title}**\n\n{body}\n"
-
-
-def machine_table(results: Results) -> PaperTable:
+def machine_table(results: Results) -> Table:
     """Give the dimensions of the machine (Table 1), as its model file gives them."""
     if not results.machine.rig:
         raise DataError(f"the model file of {results.machine.name!r} gives no dimensions of the machine")
     rows = [(name.replace("_", " "), q.value, q.unit, q.source) for name, q in results.machine.rig.items()]
-    return PaperTable("Table 1: the machine", ("dimension", "value", "unit", "source"), tuple(rows))
+    return Table("Table 1: the machine", _columns("dimension", "value", "unit", "source"), rows)
 
 
-def actuator_table(results: Results) -> PaperTable:
+def actuator_table(results: Results) -> Table:
     """Put the nominal actuators (Table 2) beside those of the machine's model file."""
     nominal = results.nominal
     known = _published(results)
@@ -77,30 +38,30 @@ def actuator_table(results: Results) -> PaperTable:
         for name, value in nominal.parameters.items()
     ]
     title = f"Table 2: nominal actuators, the model of {nominal.name}"
-    return PaperTable(title, ("parameter", "value", "std", "published", "unit"), tuple(rows))
+    return Table(title, _columns("parameter", "value", "std", "published", "unit"), rows)
 
 
-def frequency_table(results: Results) -> PaperTable:
+def frequency_table(results: Results) -> Table:
     """Give expected and obtained natural frequencies (Table 3)."""
     return _mode_table(results, "Table 3: natural frequencies [Hz]", "omega", 0)
 
 
-def damping_table(results: Results) -> PaperTable:
+def damping_table(results: Results) -> Table:
     """Give expected and obtained damping factors (Table 4)."""
     return _mode_table(results, "Table 4: damping factors", "zeta", 1)
 
 
-def controller_table(results: Results) -> PaperTable:
+def controller_table(results: Results) -> Table:
     """Give the controllers of the piezos (Table A.5), as the machine's model file gives them."""
     found = results.machine.piezo_controllers
     if found is None:
         raise DataError(f"the model file of {results.machine.name!r} gives no controllers of the piezos")
-    columns = ("piezo", *(f"{name} [{unit}]" for name, unit in found.unit.items()))
+    columns = [Column("piezo"), *(Column(name, unit, 4) for name, unit in found.unit.items())]
     rows = tuple((i, *(getattr(pd, name) for name in found.unit)) for i, pd in enumerate(found.piezos, 1))
-    return PaperTable("Table A.5: controllers of the piezos", columns, rows)
+    return Table("Table A.5: controllers of the piezos", columns, rows)
 
 
-def coefficient_table(results: Results) -> PaperTable:
+def coefficient_table(results: Results) -> Table:
     """Put the coefficients of the surfaces (Table B.6) beside those of the machine's model file."""
     fit = results.surface_fit
     std = np.sqrt(np.diag(fit.covariance)).reshape(len(KEY_PARAMETERS), len(TERMS))
@@ -110,25 +71,23 @@ def coefficient_table(results: Results) -> PaperTable:
         for i, key in enumerate(KEY_PARAMETERS)
         for j, (term, value) in enumerate(zip(TERMS, fit.model.coefficients[key], strict=True))
     ]
-    columns = ("parameter", "term", "value", "std", "published", "unit")
-    return PaperTable("Table B.6: coefficients of the surfaces, per kg", columns, tuple(rows))
+    columns = _columns("parameter", "term", "value", "std", "published", "unit")
+    return Table("Table B.6: coefficients of the surfaces, per kg", columns, rows)
 
 
-def designs_table(results: Results) -> PaperTable:
+def designs_table(results: Results) -> Table:
     """Put the tuned designs beside the published one, each at its worst operating point."""
     performances = design_performances(results.tuned)
     first = next(iter(results.tuned.values()))
-    words = conditions_words(first.impact, first.sample_time, first.method)
-    title = f"Designs at the worst of {len(performances[0].points)} operating points: {words}"
-    rows: list[tuple[Cell, ...]] = [(row[0], *map(float, row[1:])) for row in design_rows(performances)]
-    return PaperTable(title, ("figure", *(performance.name for performance in performances)), tuple(rows))
+    title = f"Designs at the worst of {len(performances[0].points)} operating points"
+    return comparison_table(title, performances, conditions_words(first.impact, first.sample_time, first.method))
 
 
-def impacts_table(results: Results) -> PaperTable:
+def impacts_table(results: Results) -> Table:
     """Give what the same impact does in each loop, measured and simulated."""
     shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
-    heads = [f"{what}{word} [{unit}]" for what, unit, *_ in shown for word in ("", " std", " simulated")]
-    rows: list[tuple[Cell, ...]] = []
+    heads = [Column(f"{what}{word}", unit, 4) for what, unit, *_ in shown for word in ("", " std", " simulated")]
+    rows: list[tuple[Entry, ...]] = []
     for loops in results.beside:
         for label, study in loops.items():
             where = point_label(study.conditions["pressure_bar"], study.conditions["speed_rpm"])
@@ -140,15 +99,15 @@ def impacts_table(results: Results) -> PaperTable:
                 )
                 rows.append((where, label, row["axis"], *numbers))
     title = "The same impact in each loop on the rig: disc up to, over after (95 % of the energy), piezo up to"
-    return PaperTable(title, ("where", "loop", "axis", *heads), tuple(rows))
+    return Table(title, [*_columns("where", "loop", "axis"), *heads], rows)
 
 
-def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
+def _mode_table(results: Results, title: str, sign: str, j: int) -> Table:
     loops = results.impacts_at(False)
     point = next(iter(loops.values())).conditions
     place = (point["pressure_bar"], point["speed_rpm"])
     columns = [(i, loop) for i in (0, 1) for loop in ("open", "closed")]
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[Entry, ...]] = [
         ("expected from model", *(loops[loop].expected[i][j] for i, loop in columns)),
         ("expected as it runs, sampled", *(loops[loop].expected_running[i][j] for i, loop in columns)),
         ("obtained from the impacts", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
@@ -160,8 +119,8 @@ def _mode_table(results: Results, title: str, sign: str, j: int) -> PaperTable:
         if {"open", "closed"} <= set(known):
             word = "expected from model" if kind == "expected" else "obtained experimentally"
             rows.append((f"published: {word}", *(known[loop][i][j] for i, loop in columns)))  # type: ignore[index]
-    heads = ("", *(f"{sign}_{i + 1} {loop}" for i, loop in columns))
-    return PaperTable(f"{title}, {point_label(*place)}", heads, tuple(rows))
+    heads = [Column(""), *(Column(f"{sign}_{i + 1} {loop}", format=4) for i, loop in columns)]
+    return Table(f"{title}, {point_label(*place)}", heads, rows)
 
 
 def _std(ring: Any, i: int, j: int) -> float:
@@ -172,13 +131,12 @@ def _published(results: Results) -> dict[str, float]:
     return dict(results.machine.actuators) if results.experiment.spec.rig is not None else {}
 
 
-def _shown(cell: Cell) -> str:
-    if cell is None or isinstance(cell, str):
-        return cell or ""
-    return str(cell) if isinstance(cell, int) else engineering(cell, _DIGITS)
+def _columns(*names: str) -> list[Column]:
+    """Columns of texts, and of numbers with four digits."""
+    return [Column(name, format=4 if name in ("value", "std", "published") else "") for name in names]
 
 
-TABLES: dict[str, Callable[[Results], PaperTable]] = {
+TABLES: dict[str, Callable[[Results], Table]] = {
     "table1_machine": machine_table,
     "table2_actuators": actuator_table,
     "table3_natural_frequencies": frequency_table,

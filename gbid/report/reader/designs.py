@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gbid.control import HalfSine, Scheduled, controller_at
-from gbid.control.assessment.compare import COLUMNS
 from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
 from gbid.control.loop.sampling import Method
 from gbid.errors import DataError
@@ -159,15 +158,6 @@ def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigure
     """
     chosen = list(comparable_designs(designs).values())
     return [*(design.performance[0] for design in chosen if design.performance), *chosen[0].performance[1:]]
-
-
-def design_rows(performances: Iterable[DesignFigures]) -> list[tuple[str, ...]]:
-    """Lay out the worst figures of designs, a row for each figure."""
-    worst = [performance.worst for performance in performances]
-    return [
-        (heading, *(format(factor * found[figure][0], form) for found in worst))
-        for heading, figure, factor, form in COLUMNS
-    ]
 
 
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:

@@ -58,14 +58,32 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
         where = point_label(*points[0]) if len(points) == 1 else f"{len(points)} operating points"
         note = conditions_words(HalfSine(*impact), sample_time, method)
         shown = [document["performance"][0] for document in group] + group[0]["performance"][1:]
-        columns = [Column(""), *(Column(performance["name"], format=4) for performance in shown)]
-        rows = [
-            [heading, *(formatted(factor * performance["worst"][figure]["value"], form) for performance in shown)]
-            for heading, figure, factor, form in COLUMNS
-        ]
+        worst = {row["name"]: {name: found["value"] for name, found in row["worst"].items()} for row in shown}
         notes = [note, *(line for document in group for line in ("", *_lines(document)))]
-        tables.append(Table(f"{plant}, worst over {where}", columns, rows, notes))
+        tables.append(_compared(f"{plant}, worst over {where}", worst, notes))
     return tables
+
+
+def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
+    """Table of the worst figures of designs that were assessed alike, a row for each figure.
+
+    Parameters
+    ----------
+    title : str
+    performances : sequence of DesignFigures
+    note : str
+        The conditions, from `gbid.report.reader.designs.conditions_words`.
+    """
+    worst = {p.name: {name: value for name, (value, _) in p.worst.items()} for p in performances}
+    return _compared(title, worst, [note])
+
+
+def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Sequence[str]) -> Table:
+    rows = [
+        [heading, *(formatted(factor * figures[name], form) for figures in worst.values())]
+        for heading, name, factor, form in COLUMNS
+    ]
+    return Table(title, [Column("figure"), *(Column(name, format=4) for name in worst)], rows, notes)
 
 
 def _lines(document: Row) -> list[str]:
