@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -120,14 +119,8 @@ def reproduction_document(rows: list[ReproductionRow], past: Sequence[Table] = (
     return {
         "counts": dict(counts(rows)),
         "rows": [row.document() for row in rows],
-        "past_the_paper": [_finite(table.document()) for table in past],
+        "past_the_paper": [table.document() for table in past],
     }
-
-
-def _finite(document: dict[str, Any]) -> dict[str, Any]:
-    """Document of a table without numbers that JSON does not know."""
-    rows = [[None if isinstance(v, float) and not isfinite(v) else v for v in row] for row in document["rows"]]
-    return {**document, "rows": rows}
 
 
 def _as_table(rows: list[ReproductionRow]) -> Table:
