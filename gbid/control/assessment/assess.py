@@ -111,6 +111,8 @@ def assess(
         Method by which the controller is discretised.
     impact : HalfSine, optional
         Reference impact, along x and along y; by default that of `HalfSine`.
+    piezo_travel_m : float, optional
+        Whole travel of one stack [m]; by default that in the model, or 45 um when the model does not give it.
 
     Returns
     -------

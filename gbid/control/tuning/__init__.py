@@ -1,1 +1,1 @@
-"""Gains with the most closed-loop damping within limits."""
+"""Tuning: gains with the largest closed-loop damping within limits."""

@@ -1,4 +1,4 @@
-"""What a search for gains gives back."""
+"""Result of a search for gains."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ class GainStatus(StrEnum):
 
 @dataclass(frozen=True)
 class WorstMode:
-    """The mode that holds a design back.
+    """Mode that limits a design.
 
     Attributes
     ----------
     where : str
-        Its loop: an operating point, or ``A[i]``.
+        Loop of the mode: an operating point, or ``A[i]``.
     frequency_hz : float
-        Natural frequency [Hz]; 0 for a pole at rest.
+        Natural frequency [Hz]; 0 for a pole at zero.
     damping : float
-        Damping factor; -1 for a real pole that grows.
+        Damping factor; -1 for an unstable real pole.
     """
 
     where: str
@@ -45,38 +45,44 @@ class WorstMode:
 
 @dataclass(frozen=True)
 class GainResult:
-    """Gains found by `gbid.maximise_damping` or `gbid.tune`, and what was verified of them.
+    """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified figures.
 
     Attributes
     ----------
     gains : dict of str to float
+        Gains by name.
     value : float
-        Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; from plain
+        Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; computed from the
         eigenvalues of the final matrices.
     objective : {"damping", "decay"}
+        Quantity that was maximised.
     status : GainStatus
-        Why the search ended. Where limits contradict or no gains stabilise, the gains are those of the least violation
-        found.
+        Why the search ended. When limits contradict or no gains stabilise, the gains are those with the smallest
+        violation found.
     success : bool
         Whether the status is ``OPTIMAL``.
     violation : float
-        By how much the worst limit is exceeded, relative; 0 when all are kept.
+        Largest relative violation of a limit; 0 when all limits hold.
     verified_on : str
-        What the result was checked against afterwards.
+        How the result was verified.
     worst : WorstMode
+        Mode that limits the design.
     active : tuple of str
-        Limits and bounds that hold the design back.
+        Limits and bounds that are active at the design.
     notes : tuple of str
-        What a user should know of the design, in sentences.
+        Remarks for the user of the design, in sentences.
     peak_sensitivity, peak_control, static_amplification : float, optional
-        Largest peaks of S_o and K S_o over frequency and loops, largest gain of S_o at rest; None where not known.
+        Largest peaks of S_o and K S_o over frequency and loops, largest gain of S_o at zero frequency; None when not
+        known.
     sample_time : float, optional
-        When the design is for the loop as it runs, sampled at this time [s]: value and peaks are of that loop.
+        Sample time of a design for the sampled loop [s]; value and peaks are of that loop. None for the continuous
+        loop.
     history : tuple of SearchStep
+        Progress of the search.
     points : tuple of (pressure_bar, speed_rpm)
-        Operating points that the design was made for, worst points found among them; empty for plain matrices.
+        Operating points of the design, with worst points that were added; empty for given matrices.
     controller : Structure or Scheduled, optional
-        The structure that the gains belong to.
+        Structure of the gains.
     """
 
     gains: Mapping[str, float]

@@ -1,4 +1,4 @@
-"""Loops at operating points: with every drawn plant, and with the bounds that scheduled gains keep there."""
+"""Loops at operating points, with all drawn plants, and with bounds of scheduled gains."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from gbid.structure.linear import Structure
 
 @dataclass(frozen=True, eq=False)
 class LoopsAtPoints:
-    """Loops of one plant and controller structure at any operating points, with all plants that it may be there.
+    """Loops of one plant and one controller structure at operating points, with all drawn plants.
 
     Parameters
     ----------
     structure : Structure or Scheduled
-        The controller.
+        Structure of the controller.
     equations : LoopEquations
+        Symbolic closed loop.
     points : (m, 2) array
-        Operating points to design for: pressure [bar] and speed [rpm].
+        Operating points of the design: pressure [bar] and speed [rpm].
     uncertainty : Uncertainty or None
-        Draws of the plant, which the design must hold for as well.
+        Draws of the plant for which the design must also hold.
     """
 
     structure: Structure | Scheduled
@@ -36,7 +37,7 @@ class LoopsAtPoints:
     uncertainty: Uncertainty | None
 
     def family(self, points: FloatArray, which: Sequence[int] | None = None) -> LoopFamily:
-        """Loops at points, or some of them."""
+        """Return the loops at given points, or some of them."""
         scenarios = points if self.uncertainty is None else self.uncertainty.scenarios(points)
         labels = [
             point_label(P, Omega) + (f", plant {i // len(points)}" if i >= len(points) else "")
@@ -46,7 +47,7 @@ class LoopsAtPoints:
         return self.equations.family(scenarios[list(chosen)], [labels[i] for i in chosen])
 
     def gain_limits(self, points: FloatArray) -> tuple[tuple[str, FloatArray, float], ...]:
-        """Bounds of scheduled gains at the points, in units of their width, as rows over the coefficients."""
+        """Return the bounds of scheduled gains at the points, as rows over the coefficients in units of their width."""
         if not isinstance(self.structure, Scheduled):
             return ()
         names = [parameter.name for parameter in self.structure.parameters]

@@ -1,4 +1,4 @@
-"""Gains with the most damping, for any closed-loop matrices that depend on gains."""
+"""Gains with the largest damping, for any closed-loop matrices that depend on gains."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def maximise_damping(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> GainResult:
-    r"""Find gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
+    r"""Return the gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
 
     .. math:: \max_{l \le g \le u} \; \min_{i,\,j} \; \zeta(\lambda_j(A_i(g))), \quad
               \zeta(\lambda) = -\mathrm{Re}\,\lambda / |\lambda|
@@ -50,37 +50,38 @@ def maximise_damping(
     lower, upper : float or (d,) array
         Finite bounds.
     objective : {"damping", "decay"}
+        Quantity that is maximised.
     slowest_pole : float
-        Rate that all eigenvalues must at least decay with [1/s]; at 0 they are stable and no more.
+        Smallest allowed decay rate of all eigenvalues [1/s]; 0 requires stability only.
     start : (d,) array, optional
-        Gains to start from besides; the zero vector (moved into the bounds) is always one of the starts.
+        Gains as an additional start value. The zero vector (moved into the bounds) is always a start value.
     starts : int, optional
-        Random starts of the global stage. When not given: a grid for up to three gains, 24 for up to twelve, else 12.
+        Number of random starts of the global stage. By default a grid for up to three gains, 24 starts for up to
+        twelve, else 12.
     seed : int
-        Of the random starts.
+        Seed of the random starts.
     progress : callable, optional
         Called with a `SearchStep` after each stage.
 
     Returns
     -------
     GainResult
-        Its `status` says whether it is an optimum. Bounds without stabilising gains: status
-        ``"no stabilising gains"``, with the loop that stays unstable and its worst mode.
+        Its `status` tells whether it is an optimum. When no gains within the bounds stabilise, the status is
+        ``"no stabilising gains"``, and the notes name the unstable loop and its worst mode.
 
     Raises
     ------
     UsageError
-        For functions that do not take the gains or do not give a square matrix, and for bounds that do not fit.
+        When a function does not take the gains or does not return a square matrix, or when bounds do not fit.
 
-    Notes
-    -----
-    A global stage finds basins; each is climbed by steps that take in all eigenvalues near the worst (see
-    `gbid.control.tuning.search.sqp`), and pairs of them that meet by their mean and squared distance: unlike the
-    eigenvalues themselves, these have derivatives there.
+    Notes ----- A global stage finds regions of attraction of local optima. In each of them local optimisation takes
+    steps that use all eigenvalues near the worst one (see `gbid.control.tuning.search.sqp`). A pair of eigenvalues
+    that meet is represented by its mean and squared distance, because these have derivatives there and the
+    eigenvalues have not.
 
     Examples
     --------
-    A mass on a spring, ``x'' + g x' + x = 0``: any damping can be had.
+    A mass on a spring, ``x'' + g x' + x = 0``: any damping can be reached.
 
     >>> import casadi as ca
     >>> g = ca.SX.sym("g")
@@ -112,7 +113,10 @@ def solve(
     progress: Progress | None = None,
     found: LocalOptimum | None = None,
 ) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Search, or climb from a design found before; then add the peaks that a grid had missed until there are none."""
+    """Return the optimum and the history of a search, or of a local optimisation from a known design.
+
+    Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
+    """
     if found is None:
         result = search(problem, neutral, effort, first, progress)
     else:
@@ -129,7 +133,7 @@ def solve(
 
 
 def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
-    """Note frequencies at which exact norms exceed their limit by more than the grid knew; whether there were any."""
+    """Add frequencies at which exact norms exceed a limit between the grid points; return whether there were any."""
     known = problem.score(x).violation
     added = False
     for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
@@ -152,7 +156,7 @@ def summarise(
     notes: tuple[str, ...] = (),
     **more: Any,
 ) -> GainResult:
-    """Form the result from plain eigenvalues and exact norms of the final design."""
+    """Return the result, from eigenvalues and exact norms of the final design."""
     x = np.clip(found.x, problem.lower, problem.upper)
     score, stable = problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
@@ -185,7 +189,7 @@ def _mode(worst: Any) -> str:
 
 
 def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float]:
-    """Exact peaks over all loops that have the outputs for it."""
+    """Return the exact peaks over all loops that have outputs."""
     families = [family for family in problem.families if family.n_outputs]
     if not families or not stable:
         return {}
@@ -221,7 +225,7 @@ _TITLES = {
 
 
 def typical_rate(families: Sequence[Any], x: FloatArray) -> float:
-    """Geometric mean of the eigenvalues' magnitudes: the unit of rates, which differ by decades between problems."""
+    """Return the geometric mean of the magnitudes of the eigenvalues, which is the unit of rates."""
     sizes = np.concatenate([np.abs(np.linalg.eigvals(family.states(x))).ravel() for family in families])
     if not np.isfinite(sizes).all():
         raise UsageError("the closed-loop matrix is not finite at the start; check the function and its bounds")
@@ -230,12 +234,12 @@ def typical_rate(families: Sequence[Any], x: FloatArray) -> float:
 
 
 def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Return bounds as arrays of one number per gain.
+    """Return bounds as arrays with one number per gain.
 
     Raises
     ------
     UsageError
-        When there are not as many as gains, or they are not finite, or the wrong way round.
+        When their number differs from that of the gains, when they are not finite, or when lower is not below upper.
     """
     try:
         low, high = (np.broadcast_to(np.asarray(b, float), len(names)).copy() for b in (lower, upper))
@@ -249,12 +253,12 @@ def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]
 
 
 def as_start(start: npt.ArrayLike, names: tuple[str, ...]) -> FloatArray:
-    """Return a start as an array.
+    """Return a start value as an array.
 
     Raises
     ------
     UsageError
-        When it has not one finite number per gain.
+        When it does not have one finite number per gain.
     """
     x = np.asarray(start, float)
     if x.shape != (len(names),) or not np.isfinite(x).all():

@@ -1,4 +1,4 @@
-"""Optimisation over many loops, which enter as they turn out to be worse than those designed for."""
+"""Optimisation over many loops with a working set: loops are added when the design is worse there."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.search.step import SearchStep
 
 _FEW, _MANY = 5, 30
-"""Loops that are designed for at once: with many gains, with up to three."""
+"""Largest number of loops without a working set: with many gains, and with up to three."""
 
 
 def solve_over_points(
@@ -25,10 +25,11 @@ def solve_over_points(
     first: list[FloatArray],
     progress: Progress | None,
 ) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Search over all loops; of many first over those that matter, adding those that turn out worse.
+    """Return the optimum over all loops and the history; many loops are handled with a working set.
 
-    A design that is best for some of the loops and no worse in the others is best for all. With few gains every
-    round searches globally, so that this holds of the result as well; with many it climbs on from the last.
+    The search starts with some loops and adds those in which the design is worse. A design that is optimal for some
+    loops and not worse in the others is optimal for all. With few gains every round is a global search, so that this
+    also holds for the result. With many gains each round is a local optimisation from the last design.
     """
     whole = problem.families
     few_gains = len(neutral) <= 3
@@ -57,7 +58,7 @@ def solve_over_points(
 
 
 def _corners(points: FloatArray) -> list[int]:
-    """Return indices of the points nearest to the corners of the rectangle that they span."""
+    """Return the indices of the points nearest to the corners of the rectangle that contains all points."""
     low, high = points.min(axis=0), points.max(axis=0)
     unit = (points - low) / np.where(high > low, high - low, 1.0)
     corners = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]

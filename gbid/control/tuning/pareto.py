@@ -1,4 +1,4 @@
-"""Damping against the peak of the sensitivity: what each costs in the other."""
+"""Pareto front of damping and peak sensitivity."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from gbid.lpv import LPVModel
 
 @dataclass(frozen=True)
 class ParetoFront:
-    """Best designs under a rising cap.
+    """Best designs under rising limits on the peak of S_o.
 
     Attributes
     ----------
     caps : tuple of float
-        Caps on the peak of S_o, rising.
+        Limits on the peak of S_o, rising.
     designs : tuple of GainResult
-        One for each cap.
+        One for each limit.
     """
 
     caps: tuple[float, ...]
@@ -39,31 +39,32 @@ class ParetoFront:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """Damping factor (or decay rate) reached under each cap; NaN where no design keeps it."""
+        """Damping factor (or decay rate [1/s]) for each limit; NaN when no design satisfies it."""
         return tuple(design.value if design.success else float("nan") for design in self.designs)
 
 
 def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
-    """Tune under one cap after the other.
+    """Return the best designs under several limits on the peak of S_o.
 
     Parameters
     ----------
     lpv : LPVModel
+        Model with actuators.
     caps : sequence of float
-        Caps on the peak of S_o, in any order; each above 1.
+        Limits on the peak of S_o, in any order; each above 1.
     **options
-        As `gbid.tune`, without ``peak_sensitivity``.
+        Options of `gbid.tune`, without ``peak_sensitivity``.
 
     Returns
     -------
     ParetoFront
-        Each design starts from that of the next lower cap as well, which keeps the higher cap too: more room is never
-        worse.
+        The design of the next lower limit is a start value of each search, because it also satisfies the higher
+        limit. So a higher limit never gives a worse design.
 
     Raises
     ------
     UsageError
-        For caps that are no numbers above 1, and as `gbid.tune`.
+        When `caps` are not numbers above 1, and as for `gbid.tune`.
     """
     if "peak_sensitivity" in options:
         raise UsageError("pareto: peak_sensitivity is set by caps; leave it out")

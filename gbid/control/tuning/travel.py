@@ -1,4 +1,4 @@
-"""Piezo travel under an impact, as a limit of a design."""
+"""Piezo travel after an impact, as a limit of a design."""
 
 from __future__ import annotations
 
@@ -15,20 +15,21 @@ from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.structure import LinearModel
 
 UNSTABLE = 1e3
-"""What an unstable loop counts as: so many times the limit."""
+"""Travel that is assigned to an unstable loop, over the limit."""
 _AFTER_S = 0.05
 _STEP_S = 1e-4
 _ZOOM = np.linspace(-1.0, 1.0, 17)
 
 
 def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) -> ExtraLimit:
-    """Limit the motion of every stack to half its travel, under the impact in x and in y, in every loop.
+    """Return the limit of the motion of every stack to half its travel, for an impact in x and in y, in every loop.
 
     Parameters
     ----------
     plant : LinearModel
-        Any of the plants; where a force enters is the same for all.
+        One of the plants; the entry of a force is the same for all.
     impact : HalfSine
+        The impact.
     piezo_travel_m : float
         Whole travel of a stack [m].
     """
@@ -37,7 +38,7 @@ def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) ->
 
     def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
         loops = family.matrices(gains)
-        # the plant's states come first in every loop, the controller's see no force
+        # the states of the plant come first in every loop; the force does not act on the controller
         E = np.vstack([entry, np.zeros((loops.A.shape[1] - len(entry), entry.shape[1]))])
         system = Eigensystem.of(loops.A)
         stable = (system.values.real < 0).all(axis=1)
@@ -52,7 +53,7 @@ def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) ->
 
 
 def _peaks(values: ComplexArray, outputs: ComplexArray, inputs: ComplexArray, length: float) -> FloatArray:
-    """Largest ``|r|`` of each loop over both stacks and directions: (m,)."""
+    """Return the largest ``|r|`` of each loop over both stacks and directions: (m,)."""
     m, n = values.shape
     weights = (outputs[:, None] * inputs.transpose(0, 2, 1)[:, :, None]).reshape(m, -1, n)  # (m, direction x stack, n)
     n_during = max(20, int(np.ceil(length / _STEP_S)))
@@ -70,7 +71,7 @@ def _peaks(values: ComplexArray, outputs: ComplexArray, inputs: ComplexArray, le
 
 
 def _modes(values: ComplexArray, time: FloatArray, length: float) -> ComplexArray:
-    r"""Solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, and of the free motion afterwards."""
+    r"""Return the solution of :math:`\dot z = \lambda z + \sin(\pi t / T)` up to T, then of the free motion."""
     w = pi / length
     during, later = np.minimum(time, length), np.maximum(time - length, 0.0)
     forced = w * (np.exp(values * during) - np.cos(w * during)) - values * np.sin(w * during)

@@ -1,4 +1,4 @@
-"""Tuning a controller of fixed structure over the operating points of an LPV model."""
+"""Tuning of a controller of fixed structure over the operating points of an LPV model."""
 
 from __future__ import annotations
 
@@ -57,72 +57,72 @@ def tune(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> GainResult:
-    r"""Find the gains of a controller that damp an LPV plant best within limits.
+    r"""Return the gains of a controller that maximise the damping of an LPV plant within limits.
 
     .. math:: \max_g \; \min_{P, \Omega} \min_j \zeta_j(g; P, \Omega) \quad\text{with}\quad
               \max_\omega \bar\sigma(S_o(j\omega; g; P, \Omega)) \le M
 
-    over the oscillatory modes of the closed loop (Eqs. 20 to 22) at all operating points, and every pole faster than
+    over the oscillatory modes of the closed loop (Eqs. 20 to 22) at all operating points, with every pole faster than
     `slowest_pole`.
 
     Parameters
     ----------
     lpv : LPVModel
+        Model of the plant, with actuators.
     operating_points : sequence of (pressure_bar, speed_rpm), or "domain", optional
-        The model's own when not given. ``"domain"``: the whole rectangle; the worst points are found and added until
-        none is worse by more than 1e-4.
+        Operating points; by default those of the model. ``"domain"``: the whole rectangle. The worst points are then
+        found and added until none is worse by more than 1e-4.
     actuator : dict of str to float, optional
-        Parameters of Eq. 12 [rad/s, m/m]; the model's own when not given.
+        Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
     controller : {"P", "PD", "biquad"}, Structure or Scheduled
-        See `gbid.controller_structure`; default P with a first-order low-pass of 1000 Hz. A low-pass whose corner is a
-        gain as well: ``controller_structure("P", tune_corner=True)``. Gains that follow pressure and speed:
-        `gbid.control.scheduled`.
+        See `gbid.controller_structure`; by default P with a first-order low-pass of 1000 Hz. To tune the corner
+        frequency as well, use ``controller_structure("P", tune_corner=True)``. For gains that depend on pressure and
+        speed, use `gbid.control.scheduled`.
     peak_sensitivity : float, optional
-        Cap M on the peak of the output sensitivity; None maximises damping alone, see Notes.
+        Limit M on the peak of the output sensitivity; None maximises damping without this limit, see Notes.
     peak_control, static_amplification : float, optional
-        Caps on the peak of K S_o [m/m] and the gain of S_o at rest.
+        Limits on the peak of K S_o [m/m] and on the gain of S_o at zero frequency.
     slowest_pole : float, optional
-        Every pole, real ones too, decays at least as fast [1/s]. When not given: as fast as the slowest oscillatory
-        mode of the open loop at these points; 0 (stability alone) without a cap on the sensitivity.
+        Smallest allowed decay rate of every pole, real ones included [1/s]. By default that of the slowest oscillatory
+        mode of the open loop at these points, or 0 (stability only) without a limit on the sensitivity.
     impact : HalfSine, optional
-        Impact under which no piezo stack may leave its travel, in x and in y, at any operating point.
+        Impact after which no piezo stack may exceed its travel, in x and in y, at any operating point.
     piezo_travel_m : float
         Whole travel of a stack [m].
     bounds : dict of str to (lower, upper), optional
-        Bounds of gains, instead of the structure's own.
+        Bounds of gains in place of those of the structure.
     uncertainty : Uncertainty, optional
-        The design must hold for every drawn plant as well.
+        Drawn plants for which the design must also hold.
     objective : {"damping", "decay"}
         Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` of all poles [1/s].
     sample_time : float, optional
-        Design for the loop as it runs: sampled at this time [s]. Holding the references costs half of it, computing
-        them `computation_s`; both enter as one delay, and this and the model's delays as Padé approximations of order
-        3. What comes out as value and peaks is of that loop; the notes say what the truly sampled loop reaches.
-        Without it the loop is the continuous one, which damps more than the one that will run.
+        Sample time of a design for the sampled loop [s]. Holding the references adds a delay of half a sample, their
+        computation adds `computation_s`. Both are modelled as one delay. This delay and those of the model are Padé
+        approximations of order 3. The value and the peaks are of that loop, and the notes give the damping of the
+        exactly sampled loop. Without `sample_time` the loop is continuous and has more damping than the sampled one.
     computation_s : float, optional
         Time from the sample of p to the change of r [s]; one sample when not given.
     start : dict of str to float, optional
-        Gains to start from besides.
+        Gains as an additional start value.
     starts, seed
-        As `gbid.maximise_damping`.
+        As for `gbid.maximise_damping`.
     progress : callable, optional
         Called with a `gbid.control.SearchStep` after each stage.
 
     Returns
     -------
     GainResult
-        With exact peaks, the limits that hold it back, and notes on how near the edge it lies.
+        Gains with exact peaks, active limits, and notes on the distance to instability.
 
     Raises
     ------
     UsageError
-        For a point outside the model's domain, limits or bounds that make no sense, unknown gains.
+        When a point lies outside the domain of the model, when limits or bounds are not allowed, or when a gain is
+        unknown.
 
-    Notes
-    -----
-    Damping alone is the wrong aim. Positive feedback lowers the stiffness, and a damping factor does not see the slow
-    real pole that this leads to: the optimum over all points lies at the edge of static instability. Without a cap the
-    result's notes say how near.
+    Notes ----- Damping alone is not a suitable objective. Positive feedback reduces the stiffness, and a damping
+    factor does not show the slow real pole that results. The optimum over all points without a limit on S_o is at the
+    boundary of static instability. For such a design the notes of the result give the distance to it.
 
     Examples
     --------
@@ -230,7 +230,7 @@ def _gain_bounds(
 
 
 def _slowest_mode(poles: ComplexArray) -> float:
-    """Slowest decay [1/s] of the oscillatory modes, negative where one grows."""
+    """Return the slowest decay [1/s] of the oscillatory modes, negative when one is unstable."""
     pairs = poles[~is_real(poles)]
     return float(-pairs.real.max()) if len(pairs) else 0.0
 
@@ -245,7 +245,7 @@ def _constant_gains(
     effort: Effort,
     delay_s: float,
 ) -> FloatArray:
-    """Best constant gains as coefficients: where a schedule starts, so that it is never worse."""
+    """Return the best constant gains as coefficients, a start value with which a schedule cannot become worse."""
     equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator), delay_s=delay_s)
     low, high, start = _gain_bounds(structure.base, None)
     plants = LoopsAtPoints(structure.base, equations, points, uncertainty)
@@ -261,7 +261,7 @@ def _constant_gains(
 def _edge_notes(
     problem: GainProblem, found: LocalOptimum, names: tuple[str, ...], cap: float | None
 ) -> tuple[str, ...]:
-    """Say how near the edge a design without a cap lies."""
+    """Return a note on the distance to instability of a design without a limit on S_o."""
     if cap is not None or not problem.stable(found.x):
         return ()
     edge = distance_to_edge(problem, found.x, names)

@@ -1,4 +1,4 @@
-"""Plants that the identified one may be: draws from the covariance of an LPV fit."""
+"""Uncertainty of the plant: draws from the covariance of an LPV fit."""
 
 from __future__ import annotations
 
@@ -15,23 +15,25 @@ from gbid.structure import KEY_PARAMETERS
 
 @dataclass(frozen=True, eq=False)
 class Uncertainty:
-    """How far the key parameters may lie from the model's.
+    """Uncertainty of the key parameters of a model.
 
     Parameters
     ----------
     covariance : (84, 84) array, optional
-        Of the coefficients of Eq. 16: the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) with their six
-        terms (`gbid.lpv.TERMS`) each, in SI per bar and rpm; what an LPV fit gives.
+        Covariance of the coefficients of Eq. 16: the fourteen key parameters (`gbid.structure.KEY_PARAMETERS`) with six
+        terms each (`gbid.lpv.TERMS`), in SI per bar and rpm, as an LPV fit gives it.
     samples : (n, 14) array, optional
-        Instead: deviations of the key parameters from the model's, the same at every operating point.
+        In place of the covariance: deviations of the key parameters from the model, the same at every operating point.
     draws : int
-        How many plants are drawn from the covariance.
+        Number of plants drawn from the covariance.
     seed : int
+        Seed of the draws.
 
     Raises
     ------
     UsageError
-        When not exactly one of the two is given, its shape is wrong, or the covariance has a negative direction.
+        When not exactly one of the two is given, when its shape is wrong, or when the covariance has a negative
+        eigenvalue.
     """
 
     covariance: npt.ArrayLike | None = None
@@ -57,7 +59,7 @@ class Uncertainty:
                 )
 
     def scenarios(self, points: FloatArray) -> FloatArray:
-        """Every drawn plant at every point (m, 2), the model itself first: (m (1 + n), 16).
+        """Return every drawn plant at every point, the model itself first: (m (1 + n), 16).
 
         Parameters
         ----------
@@ -70,7 +72,7 @@ class Uncertainty:
         return np.vstack([nominal, *drawn])
 
     def _deviations(self, points: FloatArray) -> list[FloatArray]:
-        """Deviations (m, 14) of each draw."""
+        """Return the deviations (m, 14) of each draw."""
         if self.samples is not None:
             samples = np.asarray(self.samples, float)
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]

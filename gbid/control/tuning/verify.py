@@ -1,4 +1,4 @@
-"""Checking a design afterwards: plain eigenvalues, exact norms, and how near the edge it lies."""
+"""Verification of a design: eigenvalues, exact norms, and distance to instability."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from gbid.structure import LinearModel
 
 
 class Norm(NamedTuple):
-    """Largest gain over frequency of one loop and its angular frequency [rad/s]."""
+    """Largest gain over frequency of one loop, and its angular frequency [rad/s]."""
 
     value: float
     frequency: float
 
 
 def exact_norms(family: LoopFamily, x: FloatArray, kind: str) -> list[Norm]:
-    """H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop, by Hamiltonian matrices."""
+    """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop."""
     loops, rows = family.matrices(x), rows_of(family, kind)
     models = (
         LinearModel(A, B, C[rows], D[rows]) for A, B, C, D in zip(loops.A, loops.B, loops.C, loops.D, strict=True)
@@ -33,14 +33,14 @@ def exact_norms(family: LoopFamily, x: FloatArray, kind: str) -> list[Norm]:
 
 
 def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:
-    """Largest gain of S_o at rest of every loop, (m,)."""
+    """Return the largest gain of S_o at zero frequency of every loop, (m,)."""
     loops, rows = family.matrices(x), rows_of(family, "static")
     response = loops.C[:, rows] @ np.linalg.solve(-loops.A, loops.B) + loops.D[:, rows]
     return np.asarray(largest_singular_values(response.astype(complex)))
 
 
 def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
-    """Find the mode that holds a design back: a pole that grows before the smallest damping or slowest decay."""
+    """Return the mode that limits a design: an unstable pole, otherwise that of smallest damping or slowest decay."""
     worst: tuple[float, str, complex] | None = None
     for family in problem.families:
         values = np.linalg.eigvals(family.states(x)).astype(complex)
@@ -56,14 +56,14 @@ def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
 
 @dataclass(frozen=True)
 class Edge:
-    """The smallest change of a single gain that makes a loop unstable; infinite where none within the bounds' width."""
+    """Smallest change of a single gain that makes a loop unstable; infinite when it exceeds the width of the bounds."""
 
     gain: str
     change: float
 
 
 def distance_to_edge(problem: GainProblem, x: FloatArray, names: tuple[str, ...]) -> Edge:
-    """Move each gain alone, either way, until a loop is unstable; to 1 % of the distance."""
+    """Return the smallest destabilising change of a single gain of either sign, with a tolerance of 1 %."""
     nearest = Edge("", np.inf)
     for i, name in enumerate(names):
         width = problem.upper[i] - problem.lower[i]

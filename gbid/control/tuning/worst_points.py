@@ -1,4 +1,4 @@
-"""Designs over a whole operating rectangle: the worst points are found and added until none is worse."""
+"""Design over a whole rectangle of operating points by an exchange method: worst points are added."""
 
 from __future__ import annotations
 
@@ -21,26 +21,31 @@ _MOST_ROUNDS = 20
 def add_worst_points(
     problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain, progress: Progress | None
 ) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
-    """Exchange: look for points worse than those designed for, add them, climb on.
+    """Return a design over the whole domain: find points that are worse, add them, optimise again.
 
     Parameters
     ----------
     problem : GainProblem
-        Over the first points.
+        Problem over the first points.
     found : LocalOptimum
         Its optimum.
     plants : LoopsAtPoints
+        Loops at any operating points.
     domain : Domain
+        Rectangle of operating points.
     progress : callable, optional
+        Called with a `SearchStep` after each round.
 
     Returns
     -------
     LocalOptimum
+        Final design.
     GainProblem
-        Over all points in the end.
+        Problem over all points.
     tuple of SearchStep
+        History.
     str
-        What was verified.
+        How the design was verified.
     """
     points = problem.families[0].points
     assert points is not None
@@ -71,7 +76,7 @@ def add_worst_points(
 
 
 def _worse_points(problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain) -> FloatArray:
-    """Points that are worse than the design is at its own, each refined to the worst nearby: (k, 2)."""
+    """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
     step = np.array([axis[1] - axis[0] if len(axis) > 1 else 0.0 for axis in axes])
@@ -92,7 +97,7 @@ def _worse_points(problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoin
 
 
 def measure(problem: GainProblem, x: FloatArray, plants: LoopsAtPoints, points: FloatArray) -> FloatArray:
-    """How bad a design is at each point, over all plants there: aim with a minus, then each limit (n, m)."""
+    """Return measures of a design at points over all plants, larger is worse: minus objective, then limits (n, m)."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):
         values = problem.by_loop(plants.family(block), x)
@@ -109,7 +114,7 @@ def _zoom(
     domain: Domain,
     which: int,
 ) -> tuple[FloatArray, float]:
-    """Largest value of one measure near a point, by grids that shrink around the best."""
+    """Return the largest value of one measure near a point, by grids that shrink around the best."""
     low = np.array([domain.pressure_bar[0], domain.speed_rpm[0]])
     high = np.array([domain.pressure_bar[1], domain.speed_rpm[1]])
     offsets = np.stack(np.meshgrid(*[np.linspace(-1, 1, 7)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)

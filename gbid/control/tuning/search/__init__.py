@@ -1,1 +1,1 @@
-"""Global and local search over the gains of many loops: the problem, its limits, and the steps."""
+"""Global and local search over the gains of many loops: problem, limits and steps."""

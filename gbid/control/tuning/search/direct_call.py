@@ -1,6 +1,6 @@
-"""Calls of CasADi functions of one vector that write straight into numpy arrays.
+"""Calls of CasADi functions of one vector that write directly into numpy arrays.
 
-The usual way through `casadi.DM` copies entry by entry, which takes twenty times as long as the function itself.
+The usual call with `casadi.DM` copies entry by entry, which takes twenty times as long as the function itself.
 """
 
 from __future__ import annotations
@@ -16,13 +16,14 @@ from gbid.arrays import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class DirectCall:
-    """A CasADi function from one vector to dense matrices, each holding m blocks side by side.
+    """CasADi function from one vector to dense matrices, each with m blocks side by side.
 
     Parameters
     ----------
     function : casadi.Function
+        The function.
     m : int
-        How many blocks.
+        Number of blocks.
     """
 
     function: ca.Function

@@ -1,4 +1,4 @@
-"""The global stage: where to start, and the best of what local optimisation makes of it."""
+"""Global search: choice of start values, and the best of the local optima."""
 
 from __future__ import annotations
 
@@ -16,30 +16,30 @@ from gbid.control.tuning.search.step import SearchStep
 Progress = Callable[[SearchStep], None]
 PENALTY = 10.0
 _GRID = {1: 61, 2: 25, 3: 9}
-"""Points per gain of the grid for up to three gains."""
+"""Number of grid points per gain, for up to three gains."""
 _HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
 _HOPPED = 3
-"""How many designs that lie apart are hopped: the best after the first climb need not stay the best."""
+"""Number of different designs for basin hopping; the best one before it need not be the best one after it."""
 FEASIBLE = 1e-6
-"""A limit exceeded by less, relative, is kept."""
+"""Largest relative violation of a limit that is tolerated."""
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is spent on the search.
+    """Computational effort of the search.
 
     Parameters
     ----------
     starts : int, optional
-        Random starts. When not given: a grid for up to three gains, 24 starts for up to twelve, else 12.
+        Number of random starts. By default a grid for up to three gains, 24 starts for up to twelve, else 12.
     seed : int
-        Of the random starts.
+        Seed of the random starts.
     finalists : int
-        How many of the best are optimised to the end.
+        Number of the best designs that are fully optimised.
     hops : int
-        How often, at most, each of the best is moved at random and optimised again, with more than three gains: valleys
-        between eigenvalues that meet are narrow, and a climb may end on their side. It ends when several in a row
-        were in vain.
+        Largest number of basin hops of each of the best designs, with more than three gains. A hop is a random move
+        and a new local optimisation. It is needed because a local optimisation may stop early where eigenvalues meet.
+        Hopping ends after several hops without improvement.
     """
 
     starts: int | None = None
@@ -50,7 +50,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """Best design of a search."""
+    """Best design of a search, and its history."""
 
     best: LocalOptimum
     history: tuple[SearchStep, ...]
@@ -63,17 +63,20 @@ def search(
     first: Iterable[FloatArray] = (),
     progress: Progress | None = None,
 ) -> SearchOutcome:
-    """Search the whole box.
+    """Return the best design within the bounds.
 
     Parameters
     ----------
     problem : GainProblem
+        The design problem.
     neutral : (d,) array
-        Gains near which the loops are likely to be stable: random starts are drawn towards it until they are.
+        Gains near which the loops are probably stable. Random starts are moved towards it until they are stable.
     effort : Effort
+        Computational effort.
     first : iterable of (d,) arrays
-        Starts besides.
+        Additional start values.
     progress : callable, optional
+        Called with a `SearchStep` after each stage.
 
     Returns
     -------
@@ -81,8 +84,8 @@ def search(
 
     Notes
     -----
-    Up to three gains: a grid; the best points that are no neighbours are optimised. More: a Sobol sequence,
-    each start optimised for a while. The best are then optimised to the end.
+    For up to three gains: a grid, whose best points that are not neighbours are optimised. For more gains: a Sobol
+    sequence, with some steps of local optimisation from each start. Then the best designs are fully optimised.
     """
     history: list[SearchStep] = []
 
@@ -135,7 +138,7 @@ def _hop_basins(
     in_vain: int,
     note: Callable[[str, Score], None],
 ) -> LocalOptimum:
-    """Move a design at random and climb again, until it was in vain a number of times in a row."""
+    """Move a design at random and optimise again, until a number of moves in a row gave no improvement."""
     vain = 0
     for i in range(most):
         if vain == in_vain:
@@ -150,7 +153,7 @@ def _hop_basins(
 
 
 def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum]:
-    """Designs that differ by more than a distance in some gain, best first."""
+    """Return designs that differ by more than a distance in some gain, best first."""
     chosen: list[LocalOptimum] = []
     for one in sorted(found, key=lambda design: merit(design.score, PENALTY), reverse=True):
         if all((np.abs(one.x - other.x) > distance).any() for other in chosen):
@@ -159,7 +162,7 @@ def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum
 
 
 def better(one: Score, other: Score) -> bool:
-    """Whether a design is better than another: limits kept first, then the aim."""
+    """Return whether a design is better than another: first by the limits, then by the objective."""
     kept = one.violation <= FEASIBLE, other.violation <= FEASIBLE
     if kept[0] != kept[1]:
         return kept[0]
@@ -174,11 +177,11 @@ def _best(found: list[LocalOptimum]) -> LocalOptimum:
 
 
 def _basins(problem: GainProblem, n: int, most: int) -> list[FloatArray]:
-    """Best points of a grid that are no neighbours, best first.
+    """Return the best points of a grid that are not neighbours, best first.
 
-    They are more than the local maxima of the grid: along a limit it cuts through ridges and hides optima.
-
-    A design's aim alone is cheap and bounds its merit, so peaks are computed only where the aim can still compete.
+    They are more than the local maxima of the grid, because along a limit the grid would miss optima. The objective
+    without its limits is an upper bound of the merit and cheap. So peaks are computed only where this bound is high
+    enough.
     """
     d = len(problem.lower)
     axes = [np.linspace(low, high, n) for low, high in zip(problem.lower, problem.upper, strict=True)]
@@ -202,13 +205,13 @@ def _basins(problem: GainProblem, n: int, most: int) -> list[FloatArray]:
 
 
 def _draws(problem: GainProblem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
-    """Random starts, each moved towards the neutral gains until its loops are stable."""
+    """Return random starts, each moved towards the neutral gains until its loops are stable."""
     d = len(neutral)
     n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
     unit = qmc.Sobol(d, seed=np.random.default_rng(effort.seed)).random(1 << max(n - 1, 1).bit_length())[:n]
     starts = []
     for u in unit:
-        # positive bounds that lie decades apart are drawn evenly in the logarithm
+        # with positive bounds over more than a decade, starts have a logarithmic distribution
         decades = (problem.lower > 0) & (problem.upper > 10 * problem.lower)
         low, high = np.where(decades, problem.lower, 1.0), np.where(decades, problem.upper, 1.0)
         x = np.where(decades, low * (high / low) ** u, problem.lower + u * (problem.upper - problem.lower))

@@ -1,4 +1,4 @@
-"""What is asked of a design: the aim and the limits it must keep."""
+"""Objective and limits of a design."""
 
 from __future__ import annotations
 
@@ -17,14 +17,16 @@ Objective = Literal["damping", "decay"]
 
 @dataclass(frozen=True)
 class ExtraLimit:
-    """A limit that no other covers: ``function(family, gains) <= limit`` in every loop, differentiable by differences.
+    """Additional limit ``function(family, gains) <= limit`` in every loop, with derivatives by differences.
 
     Parameters
     ----------
     name : str
+        Name of the limit.
     function : callable
         From a family of m loops and gains (d,) to positive numbers (m,).
     limit : float
+        Largest allowed number.
     """
 
     name: str
@@ -32,23 +34,24 @@ class ExtraLimit:
     limit: float
 
     def excess(self, family: LoopFamily, gains: FloatArray) -> FloatArray:
-        """Logarithm of the numbers over the limit (m,), positive where it is exceeded."""
+        """Return the logarithm of the numbers over the limit (m,), positive when it is exceeded."""
         return np.asarray(np.log(self.function(family, gains) / self.limit))
 
 
 @dataclass(frozen=True)
 class Limits:
-    """Aim and limits; a limit of None is none.
+    """Objective and limits of a design; None means no limit.
 
     Parameters
     ----------
     objective : {"damping", "decay"}
         Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` [1/s] of all modes.
     slowest_pole : float
-        Every eigenvalue decays at least as fast [1/s]; at 0 (strictly) it is stability alone.
+        Smallest allowed decay rate of every eigenvalue [1/s]; 0 (strictly) requires stability only.
     peak_sensitivity, peak_control, static_amplification : float, optional
-        Largest peaks of S_o and K S_o, largest gain of S_o at rest.
+        Limits on the peaks of S_o and K S_o, and on the gain of S_o at zero frequency.
     extra : tuple of ExtraLimit
+        Additional limits.
     """
 
     objective: Objective = "damping"

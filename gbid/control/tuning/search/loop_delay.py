@@ -1,4 +1,4 @@
-"""What sampling and computation do to a loop, in continuous time: they delay it."""
+"""Delay by sampling and computation, approximated in a continuous loop."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from gbid.structure import pade_delay
 from gbid.structure.linear import Structure
 
 PADE_ORDER = 3
-"""Of the delays of a loop that is designed for sampling."""
+"""Order of the Padé delays of a loop that is designed for sampling."""
 
 
 def loop_delay(sample_time: float | None, computation_s: float | None) -> float:
-    """Delay of holding the references, half a sample, and computing them, one sample when not given [s].
+    """Return the delay by holding the references (half a sample) and by their computation (one sample by default) [s].
 
     Raises
     ------
     UsageError
-        For times that make no sense, or a computation without sampling.
+        When a time is not allowed, or when a computation time is given without a sample time.
     """
     if sample_time is None:
         if computation_s is not None:
@@ -46,9 +46,9 @@ def smallest_sampled_damping(
     sample_time: float,
     computation_s: float | None,
 ) -> tuple[float, tuple[float, float]]:
-    """Smallest damping factor of the truly sampled loop over points, and where; -1 when it is not stable.
+    """Return the smallest damping factor of the sampled loop over points, and its point; -1 when it is unstable.
 
-    Delays are exact, the controller is sampled by Tustin's rule.
+    Delays are exact, and the controller is discretised by Tustin's rule.
     """
     found = []
     for point in points:
@@ -60,19 +60,19 @@ def smallest_sampled_damping(
 
 
 def delayed_outputs(controller: dict[str, ca.SX], delay_s: float) -> dict[str, ca.SX]:
-    """Delay both outputs of a controller.
+    """Return a controller with both outputs delayed.
 
     Parameters
     ----------
     controller : dict of str to casadi.SX
         A (n, n), B (n, 2), C (2, n), D (2, 2).
     delay_s : float
-        Padé approximation of order `PADE_ORDER`; 0 leaves the controller as it is.
+        Delay [s], as a Padé approximation of order `PADE_ORDER`; 0 leaves the controller unchanged.
 
     Returns
     -------
     dict of str to casadi.SX
-        The states of the delays follow those of the controller.
+        Matrices; the states of the delays follow those of the controller.
     """
     if not delay_s:
         return controller

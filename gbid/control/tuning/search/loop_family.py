@@ -24,7 +24,7 @@ from gbid.structure.parameter import Values
 
 @dataclass(frozen=True)
 class Loops:
-    """Matrices of loops: A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d)."""
+    """Matrices of m loops: A (m, n, n), B (m, n, n_d), C (m, n_y, n), D (m, n_y, n_d)."""
 
     A: FloatArray
     B: FloatArray
@@ -34,7 +34,7 @@ class Loops:
 
 @dataclass(frozen=True)
 class Derivatives(Loops):
-    """Matrices of loops, and their derivatives by each gain, which have the d gains as second axis."""
+    """Matrices of loops and their derivatives by each gain, with the d gains as second axis."""
 
     dA: FloatArray
     dB: FloatArray
@@ -53,7 +53,7 @@ class Derivatives(Loops):
 
 @dataclass(frozen=True, eq=False)
 class LoopFamily:
-    """Loops of one size that share their gains.
+    """Loops of equal size with common gains.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ class LoopFamily:
     jacobian : casadi.Function
         From the gains to the derivatives of ``vec(A)``, ... of each loop, side by side: ``(n^2, d m)`` and so on.
     labels : tuple of str
-        What each loop is, for messages.
+        Name of each loop, for messages.
     points : (m, 2) array, optional
-        Pressure [bar] and speed [rpm] of each loop, where they are operating points.
+        Pressure [bar] and speed [rpm] of each loop, when they are operating points.
     n_outputs : int
-        How many rows of C belong to the output sensitivity; those below are the control signals. 0: A alone.
+        Number of rows of C of the output sensitivity; the rows below are the control signals. 0: A only.
     """
 
     function: ca.Function
@@ -103,17 +103,17 @@ class LoopFamily:
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
-    """Make families of a user's functions from gains to A: one family for each size of A.
+    """Return families of given functions from gains to A: one family for each size of A.
 
     Raises
     ------
     UsageError
-        When a function has not one input of n_gains numbers and a square matrix as its first output.
+        When a function does not have one input of n_gains numbers and a square matrix as its first output.
     """
     by_size: dict[int, list[tuple[str, ca.Function]]] = {}
     for i, function in enumerate(functions):
         if not isinstance(function, ca.Function):
-            raise UsageError(f"A_of_gains[{i}] is no casadi.Function")
+            raise UsageError(f"A_of_gains[{i}] is not a casadi.Function")
         n, columns = function.size_out(0)
         if function.n_in() != 1 or function.numel_in(0) != n_gains or n != columns or n == 0:
             raise UsageError(
@@ -149,16 +149,17 @@ class LoopEquations:
     .. math:: A_{cl} = \begin{pmatrix} A + B D_K C & B C_K \\ B_K C & A_K \end{pmatrix},\quad
               B_{cl} = \begin{pmatrix} B D_K \\ B_K \end{pmatrix}
 
-    and the outputs ``p + d = S_o d`` and ``r = K S_o d`` (Eq. 22).
+    The outputs are ``p + d = S_o d`` and ``r = K S_o d`` (Eq. 22).
 
     Parameters
     ----------
     gains : tuple of Parameter
+        Gains of the controller.
     function : casadi.Function
-        ``(gains, scenario) -> A, B, C, D``. A scenario is pressure [bar], speed [rpm] and what is added to each of the
-        fourteen key parameters there.
+        ``(gains, scenario) -> A, B, C, D``. A scenario has pressure [bar], speed [rpm] and a deviation of each of the
+        fourteen key parameters.
     jacobian : casadi.Function
-        ``(gains, scenario)`` to the derivatives of ``vec`` of each by the gains.
+        ``(gains, scenario)`` to the derivatives of ``vec`` of each matrix by the gains.
     """
 
     gains: tuple[Parameter, ...]
@@ -166,7 +167,7 @@ class LoopEquations:
     jacobian: ca.Function
 
     def family(self, scenarios: FloatArray, labels: Sequence[str] | None = None) -> LoopFamily:
-        """Loops at given scenarios (m, 16), or (m, 2) of pressure and speed alone."""
+        """Return the loops at given scenarios (m, 16), or at (m, 2) pressures and speeds."""
         S = np.zeros((len(scenarios), 2 + len(KEY_PARAMETERS)))
         S[:, : scenarios.shape[1]] = scenarios
         m, g = len(S), ca.MX.sym("gains", len(self.gains))
@@ -185,17 +186,18 @@ def loop_equations(
     *,
     delay_s: float = 0.0,
 ) -> LoopEquations:
-    """Write down the closed loop once, for all operating points.
+    """Return the symbolic closed loop for all operating points.
 
     Parameters
     ----------
     lpv : LPVModel
+        Model of the plant.
     controller : Structure or Scheduled
-        From p to r; see `gbid.controller_structure` and `gbid.control.scheduled`.
+        Controller from p to r; see `gbid.controller_structure` and `gbid.control.scheduled`.
     actuator : dict of str to float, optional
-        Parameters of Eq. 12; the model's own when not given.
+        Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
     delay_s : float
-        What sampling and computation add to the loop [s].
+        Additional delay of the loop by sampling and computation [s].
 
     Returns
     -------
@@ -204,7 +206,7 @@ def loop_equations(
     Raises
     ------
     UsageError
-        When there are no actuators, or the controller has not two inputs and two outputs.
+        When there are no actuators, or when the controller does not have two inputs and two outputs.
     """
     actuators = dict(lpv.actuators if actuator is None else actuator)
     missing = [parameter.name for parameter in PiezoPair().parameters if parameter.name not in actuators]

@@ -1,4 +1,4 @@
-"""Peaks of the sensitivities of many loops over frequency, and how they move with the gains."""
+"""Peaks of the sensitivities of many loops over frequency, and their derivatives by the gains."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _STEPS = np.linspace(0.0, 1.0, 25)
 
 @dataclass(frozen=True)
 class Peaks:
-    """Local maxima over frequency: which loop, at which angular frequency [rad/s], how high. All (k,)."""
+    """Local maxima over frequency: index of the loop, angular frequency [rad/s] and height, all (k,)."""
 
     loop: IntArray
     frequency: FloatArray
@@ -27,7 +27,7 @@ class Peaks:
 
 
 def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
-    """Frequency responses of rows of the outputs of chosen loops, at frequencies (k, f) [rad/s]: (k, f, n_y, n_d)."""
+    """Return frequency responses of some outputs of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
     CV = loops.C[which][:, rows] @ modes.right[which]
     WB = modes.left[which] @ loops.B[which]
     resolvent = 1.0 / (1j * frequency[:, :, None] - modes.values[which][:, None, :])
@@ -37,24 +37,25 @@ def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, freq
 def find_peaks(
     loops: Loops, modes: Eigensystem, rows: slice, extra: tuple[IntArray, FloatArray] | None = None
 ) -> Peaks:
-    """Local maxima of the largest singular value, each refined on frequency.
+    """Return the local maxima of the largest singular value, refined in frequency.
 
     Parameters
     ----------
     loops, modes
+        Matrices of the loops, and their eigenvalues and eigenvectors.
     rows : slice
-        Which outputs.
+        Rows of the outputs.
     extra : (loop, frequency), optional
-        Places to look at besides: those an exact norm has found.
+        Additional frequencies, found by an exact norm.
 
     Notes
     -----
-    The grid is even in the logarithm and takes in the magnitudes of the loop's own eigenvalues, since a peak that a
-    coarse grid would miss belongs to a lightly damped one; each local maximum is then zoomed into.
+    The grid has logarithmic spacing and contains the magnitudes of the eigenvalues of each loop, because a peak that a
+    coarse grid would miss belongs to a lightly damped eigenvalue. Each local maximum is then refined.
     """
     m = len(loops.A)
     size, pair = np.abs(modes.values), modes.values.imag > 0
-    # conjugates and real ones give points beside: two at one frequency would look like a maximum
+    # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
     own = [np.where(pair, size, 1.07 * size), np.where(pair, modes.values.imag, 0.93 * size)]
     grid = np.concatenate([np.broadcast_to(_BASE, (m, len(_BASE))), *own], axis=1)
     if extra is not None:
@@ -82,10 +83,10 @@ def find_peaks(
 
 
 def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArray, FloatArray]:
-    """Return derivatives (k, d) of the largest singular value by the gains, at its own frequency, and its value (k,).
+    """Return derivatives (k, d) of the largest singular value by the gains at fixed frequency, and its value (k,).
 
-    At a maximum over frequency this is the derivative of the peak itself (the frequency's own move counts only to
-    second order). With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
+    At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
+    second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
     """
     i, n = peaks.loop, loops.A.shape[-1]
     system = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i]

@@ -1,7 +1,8 @@
-"""The smooth functions of a design problem: each eigenvalue's damping, each peak, and their derivatives.
+"""Design problem as smooth functions of the gains: the damping of each eigenvalue, each peak, and their derivatives.
 
-The aim is the smallest of many functions of the gains and every limit the largest of many; each of them is smooth
-where eigenvalues do not meet. A local method that knows all that are near the worst steps along the edges between them.
+The objective is the smallest of many functions of the gains, and each limit concerns the largest of many. Each function
+is smooth where eigenvalues do not meet. A local method that uses all functions near the worst one can follow the edges
+between them.
 """
 
 from __future__ import annotations
@@ -22,12 +23,12 @@ from gbid.poles import REAL
 
 _RESPONSES = ("sensitivity", "control", "static")
 _WINDOW = 0.3
-"""Functions further than this from the worst are left out (in damping, and in the logarithm of a limited gain)."""
+"""Largest distance of an active function from the worst one (in damping, or in the logarithm of a limited gain)."""
 
 
 @dataclass(frozen=True)
 class Score:
-    """How good a design is: the aim, and by how much the worst limit is exceeded (relative; 0 when kept)."""
+    """Quality of a design: the objective, and the largest relative violation of a limit (0 when all limits hold)."""
 
     value: float
     violation: float
@@ -35,7 +36,7 @@ class Score:
 
 @dataclass(frozen=True)
 class ActiveFunction:
-    """One smooth function of the gains near the worst: name (kind, family, loop), value, slope, place in the plane."""
+    """Smooth function near the worst one: name (kind, family, loop), value, gradient, place in the complex plane."""
 
     kind: str
     family: int
@@ -47,7 +48,7 @@ class ActiveFunction:
 
 @dataclass(frozen=True)
 class ActiveFunctions:
-    """Active functions of the aim (to be large) and of the limits (at most 0) at one design, with their pairs."""
+    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, with close pairs."""
 
     score: Score
     aim: tuple[ActiveFunction, ...]
@@ -57,20 +58,22 @@ class ActiveFunctions:
 
 @dataclass(eq=False)
 class GainProblem:
-    """Loops, limits and bounds. Evaluates designs; counts them.
+    """Design problem: loops, limits and bounds. It evaluates designs and counts the evaluations.
 
     Parameters
     ----------
     families : tuple of LoopFamily
+        Loops of the design.
     limits : Limits
+        Objective and limits.
     lower, upper : (d,) array
         Bounds of the gains.
     scale : float
-        A typical eigenvalue [rad/s]; rates are measured in it.
+        Typical magnitude of an eigenvalue [rad/s], the unit of rates.
     cuts : list
-        Frequencies of peaks that an exact norm has found, as (kind, family, loop, frequency).
+        Frequencies of peaks found by an exact norm, as (kind, family, loop, frequency).
     linear : tuple of (name, row, limit)
-        Limits ``row x <= limit``.
+        Linear limits ``row x <= limit``.
     """
 
     families: tuple[LoopFamily, ...]
@@ -84,11 +87,11 @@ class GainProblem:
 
     @property
     def slowest(self) -> float:
-        """Rate every eigenvalue must exceed; a hair above zero, so that a design at the edge is stable."""
+        """Rate that every eigenvalue must exceed [1/s]; slightly above zero, so that limit cases are stable."""
         return max(self.limits.slowest_pole, 1e-7 * self.scale)
 
     def score(self, x: FloatArray, worst: float = -np.inf) -> Score:
-        """Evaluate one design; stop early once its aim is below `worst`."""
+        """Return the score of one design, without its peaks when its objective is below `worst`."""
         self.evaluations += 1
         value, violation = np.inf, 0.0
         every = [family.matrices(x) for family in self.families]
@@ -108,7 +111,7 @@ class GainProblem:
         return Score(value, max(violation, 0.0))
 
     def aim_bound(self, x: FloatArray) -> float:
-        """Upper bound of a design's merit: its aim, less what its slowest pole costs; -inf where it is unstable."""
+        """Return an upper bound of the merit of a design: objective minus penalty of the slowest pole."""
         value, slow = np.inf, -np.inf
         for family in self.families:
             values = np.linalg.eigvals(family.states(x)).astype(complex)
@@ -116,21 +119,21 @@ class GainProblem:
         return value - 10.0 * max(0.0, (self.slowest + slow) / self.scale)
 
     def stable(self, x: FloatArray) -> bool:
-        """Whether all loops are."""
+        """Return whether all loops are stable."""
         return all(bool((np.linalg.eigvals(family.states(x)).real < 0).all()) for family in self.families)
 
     def aim(self, eigenvalues: ComplexArray) -> FloatArray:
-        """Return what each eigenvalue contributes to the aim: damping factor, or decay in units of the scale."""
+        """Return the objective of each eigenvalue: damping factor, or decay in units of the scale."""
         if self.limits.objective == "damping":
             return damping_factors(eigenvalues)
         return -eigenvalues.real / self.scale
 
     def in_units(self, aim: float) -> float:
-        """Return the aim as it is reported: damping factor, or decay [1/s]."""
+        """Return the objective in reported units: damping factor, or decay [1/s]."""
         return aim if self.limits.objective == "damping" else aim * self.scale
 
     def functions(self, x: FloatArray) -> ActiveFunctions:
-        """Evaluate one design with the slopes of everything near its worst."""
+        """Return all functions near the worst one at a design, with gradients."""
         self.evaluations += 1
         aims: list[ActiveFunction] = []
         limits: list[ActiveFunction] = []
@@ -182,7 +185,7 @@ class GainProblem:
     def _pairs(
         self, f: int, system: Eigensystem, derivatives: Derivatives, near: BoolArray
     ) -> list[tuple[ActiveFunction, Pair]]:
-        """Pairs of eigenvalues about to meet, the mean as a piece that is smooth there."""
+        """Return pairs of eigenvalues that are about to meet, with their mean as a smooth function."""
         found = []
         for i in np.flatnonzero(near.sum(axis=1) > 1):
             which = np.flatnonzero(near[i])
@@ -198,23 +201,23 @@ class GainProblem:
         return found
 
     def _mean_of(self, pair: Pair) -> tuple[float, FloatArray]:
-        """Aim and slope of a pair's mean."""
+        """Return the objective of the mean of a pair, and its gradient."""
         mean, slope = np.array([pair.mean]), pair.mean_slope[None]
         if self.limits.objective == "damping":
             return float(damping_factors(mean)[0]), damping_slopes(mean, slope)[0]
         return -pair.mean.real / self.scale, -pair.mean_slope.real / self.scale
 
     def pair_near(self, x: FloatArray, family: int, loop: int, place: complex) -> Pair | None:
-        """Find the two eigenvalues of a loop nearest to a place, as a pair."""
+        """Return the two eigenvalues of a loop nearest to a place in the complex plane, as a pair."""
         derivatives = self.families[family].derivatives(x)
         system = Eigensystem.of(derivatives.A[[loop]])
         first, second = np.argsort(np.abs(system.values[0] - place))[:2]
         return pair_of(system, derivatives.dA[loop], 0, int(first), int(second))
 
     def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
-        """Slopes of known functions at designs close by (q, n, d), peaks' at their old frequency.
+        """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
 
-        NaN where they cannot be told: of two eigenvalues that meet too closely, and of limits from outside.
+        NaN where a gradient is not available: for two eigenvalues too close to each other, and for additional limits.
         """
         found = np.full((len(designs), len(functions), len(self.lower)), np.nan)
         for f, family in enumerate(self.families):
@@ -244,7 +247,7 @@ class GainProblem:
         system: Eigensystem | None,
         which: npt.NDArray[np.intp],
     ) -> FloatArray:
-        """Slopes of one piece in the chosen loops (q, d), NaN where they cannot be told."""
+        """Return the gradients of one function in the chosen loops (q, d), NaN where they are not available."""
         nothing = np.full((len(which), len(self.lower)), np.nan)
         if piece.kind in _RESPONSES:
             peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
@@ -266,9 +269,10 @@ class GainProblem:
         return np.asarray((slope.real if piece.kind == "pole" else -slope.real) / self.scale)
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
-        """How bad a design is in each loop of a family, which need not be one of the problem's (n, m).
+        """Return measures of a design in each loop of a family, larger is worse (n, m).
 
-        First the aim with a minus, then by how much the slowest pole and each limited response exceed their limits.
+        The first row is minus the objective. The others are the excess of the slowest pole and of each limited
+        response over their limits. The family need not be one of the problem.
         """
         loops = family.matrices(x)
         system = Eigensystem.of(loops.A)
@@ -284,7 +288,7 @@ class GainProblem:
     def _responses(
         self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None
     ) -> list[tuple[str, int, Peaks, float]]:
-        """Peaks of all limited responses of all families, whose matrices (and eigenvalues) are given."""
+        """Return the peaks of all limited responses of all families, for given matrices (and eigenvalues)."""
         found: list[tuple[str, int, Peaks, float]] = []
         if not self.limits.has_responses:
             return found
@@ -298,7 +302,7 @@ class GainProblem:
     def _peaks(
         self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: list[tuple[str, int, int, float]]
     ) -> list[tuple[str, Peaks, float]]:
-        """Peaks of all limited responses of one family: kind, peaks, limit."""
+        """Return the peaks of all limited responses of one family: kind, peaks, limit."""
         found = []
         for kind, limit in (("sensitivity", self.limits.peak_sensitivity), ("control", self.limits.peak_control)):
             if limit is not None:
@@ -313,7 +317,7 @@ class GainProblem:
         return found
 
     def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[ActiveFunction]:
-        """ActiveFunctions of a limit from outside, with slopes by differences."""
+        """Return the active functions of an additional limit, with gradients by differences."""
         family = self.families[f]
         base = extra.excess(family, x)
         near = np.flatnonzero(base > -_WINDOW)
@@ -328,5 +332,5 @@ class GainProblem:
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:
-    """Rows of the outputs that belong to a kind of response."""
+    """Return the rows of the outputs that belong to a kind of response."""
     return slice(family.n_outputs, None) if kind == "control" else slice(0, family.n_outputs)

@@ -1,4 +1,4 @@
-"""Eigenvalues of many loops, their damping, and how both move with the gains."""
+"""Eigenvalues of many loops, their damping, and the derivatives of both by the gains."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gbid.poles import REAL
 
 
 def damping_factors(eigenvalues: ComplexArray) -> FloatArray:
-    """Damping factor ``-Re/|.|`` of oscillatory eigenvalues; 1 for real ones, which do not oscillate."""
+    """Return the damping factors ``-Re/|.|`` of oscillatory eigenvalues; 1 for real ones."""
     magnitude = np.maximum(np.abs(eigenvalues), 1e-300)
     return np.where(np.abs(eigenvalues.imag) > REAL * magnitude, -eigenvalues.real / magnitude, 1.0)
 
@@ -20,14 +20,14 @@ def damping_factors(eigenvalues: ComplexArray) -> FloatArray:
 def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
     both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
-    # one real product for the real and the imaginary part: a complex copy of M would cost more than that
+    # One real product for real and imaginary part is faster than a complex copy of M.
     product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
     return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
 @dataclass(frozen=True)
 class Eigensystem:
-    """Eigenvalues (m, n), right vectors as columns and left vectors as rows, ``W V = I``."""
+    """Eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows, with ``W V = I``."""
 
     values: ComplexArray
     right: ComplexArray
@@ -35,7 +35,7 @@ class Eigensystem:
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
-        """Solve (m, n, n) matrices; one without a full set of vectors is moved by rounding first."""
+        """Return the eigensystems of (m, n, n) matrices; a defective matrix is first changed by rounding errors."""
         values, right = np.linalg.eig(A)
         try:
             left = np.linalg.inv(right)
@@ -60,7 +60,7 @@ def damping_slopes(eigenvalues: ComplexArray, slopes: ComplexArray) -> FloatArra
 
 @dataclass(frozen=True)
 class Pair:
-    """Two eigenvalues that nearly meet, by their mean and ``((a - b)/2)^2``, which are smooth where they do."""
+    """Two eigenvalues a, b that nearly meet: their mean and ``((a - b)/2)^2``, which are smooth where they meet."""
 
     mean: complex
     mean_slope: ComplexArray
@@ -69,22 +69,23 @@ class Pair:
 
 
 def pair_of(system: Eigensystem, dA: FloatArray, loop: int, first: int, second: int) -> Pair | None:
-    r"""Mean and squared half distance of two eigenvalues with their derivatives.
+    """Return mean and squared half distance of two eigenvalues with their derivatives.
 
-    On the invariant subspace ``A Q = Q M`` of the two, with left basis ``L Q = I``, both derivatives follow from
-    ``dM = L dA Q``: its trace is that of 2 mean, and ``gap = ((M_11 - M_22)/2)^2 + M_12 M_21``.
+    The two span the invariant subspace ``A Q = Q M``, with left basis ``L Q = I``. Both derivatives follow from
+    ``dM = L dA Q``: the trace of M is twice the mean, and ``gap = ((M_11 - M_22)/2)^2 + M_12 M_21``.
 
     Parameters
     ----------
     system : Eigensystem
+        Eigenvalues and eigenvectors.
     dA : (d, n, n) array
-        Derivatives of the loop's matrix.
+        Derivatives of the matrix of the loop.
     loop, first, second : int
-        The loop and the two eigenvalues.
+        Indices of the loop and of the two eigenvalues.
 
     Returns
     -------
-    Pair, or None when the subspace cannot be told from rounding.
+    Pair, or None when the subspace is not determined up to rounding.
     """
     which, n = [first, second], system.values.shape[1]
     right = np.linalg.qr(system.right[loop][:, which])[0]

@@ -1,4 +1,4 @@
-"""Local optimisation of the worst of many eigenvalues and peaks by sequential quadratic programming."""
+"""Local optimisation of the worst of many eigenvalues and peaks by sequential quadratic programming (SQP)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from gbid.control.tuning.search.problem import ActiveFunction, ActiveFunctions, 
 
 @dataclass(frozen=True)
 class LocalOptimum:
-    """A local optimum: gains, score, iterations, and whether no step improved any more."""
+    """Local optimum: gains, score, number of iterations, and whether the optimisation converged."""
 
     x: FloatArray
     score: Score
@@ -29,7 +29,7 @@ _DIFFERENCE = 1e-6
 
 
 def merit(score: Score, penalty: float) -> float:
-    """Aim less a penalty on the worst limit; to be large."""
+    """Return the merit to be maximised: objective minus a penalty on the largest violation."""
     return score.value - penalty * score.violation
 
 
@@ -43,29 +43,32 @@ def optimise_locally(
     curvature: bool = True,
     on_step: Callable[[int, Score], None] | None = None,
 ) -> LocalOptimum:
-    r"""Climb to a local optimum.
+    r"""Return a local optimum.
 
     Each step solves, for the move d of the gains within a trust region,
 
     .. math:: \max\; t - \rho s - \tfrac12 d^T H d \quad\text{with}\quad
               f_j + g_j d \ge t,\;\; c_k + a_k d \le s,\;\; s \ge 0
 
-    over all functions f (damping factors) of the aim and c of the limits near the worst; H is the curvature of those
-    that held in the step before. Where two eigenvalues meet, their own slopes grow without bound; there a second
-    step is tried that takes their mean instead and asks ``((a - b)/2)^2`` to be zero, both of which are
+    over all functions f (damping factors) of the objective and c of the limits near the worst. H is the curvature of
+    the functions that were active in the step before. Where two eigenvalues a, b meet, their gradients are unbounded.
+    There a second step is computed with their mean and with ``((a - b)/2)^2 = 0`` as a constraint, because both are
     smooth (at the optimum the two coalesce: Burke, Lewis, Overton, 2001). The better step is taken.
 
     Parameters
     ----------
     problem : GainProblem
+        The design problem.
     start : (d,) array
+        Start value of the gains.
     radius : float
-        First trust region, as a share of the bounds' width.
+        Initial trust region, as a share of the width of the bounds.
     max_iterations : int
+        Largest number of iterations.
     tolerance : float
-        The trust region, relative, below which it ends.
+        Smallest trust region, in the same unit; the optimisation then ends.
     curvature : bool
-        Whether H is formed (by differences of the slopes) or zero.
+        Whether H is computed (by differences of the gradients) or zero.
     on_step : callable, optional
         Called with iteration and score.
 
@@ -102,13 +105,13 @@ def _climb(
         promises = [step.gain for step in steps]
         if max(promises, default=0.0) <= 1e-13 and any(not step.meeting for step in steps):
             return LocalOptimum(x, functions.score, iteration, True)
-        # a design whose aim alone is below the present merit needs no peaks
+        # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
         scores = [problem.score(x + step.move, floor) for step in steps]
         merits = [merit(score, penalty) for score in scores]
         best = int(np.argmax(merits)) if steps else 0
         improvement = merits[best] - floor if steps else 0.0
-        # a step that lets eigenvalues meet may promise less than nothing; it must improve all the same
+        # a step with meeting eigenvalues may promise a loss, but it is accepted only when it improves the merit
         promised = max(promises[best], 0.0) if steps else np.inf
         good = improvement > 0.05 * promised
         if good or improvement > 1e-7:
@@ -134,7 +137,7 @@ def _climb(
 
 @dataclass(frozen=True)
 class _Step:
-    """A move of the gains, the gain in merit it promises, and the weights of the functions that hold it back."""
+    """Move of the gains, the promised gain in merit, and the weights of the active functions."""
 
     move: FloatArray
     gain: float
@@ -147,7 +150,7 @@ class _Step:
 def _steps(
     functions: ActiveFunctions, H: FloatArray, width: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float
 ) -> list[_Step]:
-    """Return the plain step, and those that let pairs of eigenvalues meet."""
+    """Return the plain step, and steps in which pairs of eigenvalues meet."""
     steps = [_step(functions, list(functions.aim), [], H, width, box, penalty)]
     close = sorted(
         (entry for entry in functions.pairs if entry[0].value < functions.score.value + 0.1),
@@ -176,7 +179,7 @@ def _step(
     box: tuple[FloatArray, FloatArray],
     penalty: float,
 ) -> _Step | None:
-    """Solve the quadratic programme in the move, in units of the box, and t and s, in units of its size."""
+    """Return the solution of the quadratic programme for the move (in units of the box) and for t and s."""
     d, now = len(width), functions.score.value
     reach = np.maximum(box[1] - box[0], 1e-300)
     size = float(np.max(reach / width))
@@ -197,10 +200,10 @@ def _step(
     curve = 1e-9 * np.eye(d + 2)
     curve[:d, :d] += H * np.outer(reach, reach) / size
     linear = np.concatenate([np.zeros(d), [-1.0, penalty]])
-    # an aim that cannot rise further (all modes real) is bounded by what it can be at most
+    # without active functions of the objective (all modes real) t has the largest possible value as its bound
     lower = np.concatenate([box[0] / reach, [-1e6, 0.0]])
     upper = np.concatenate([box[1] / reach, [(1.0 - now) / size + 1.0 if not aim else 1e6, 1e6]])
-    # eigenvalues about to meet have slopes of any size: rows of one length keep the programme well scaled
+    # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
     A = np.array(rows).reshape(-1, d + 2)
     length = np.maximum(np.linalg.norm(A, axis=1), 1.0)
     solution = _solve(curve, linear, A / length[:, None], np.array(low) / length, np.array(high) / length, lower, upper)
@@ -215,9 +218,9 @@ def _step(
 
 
 def _back_to_meeting(problem: GainProblem, x: FloatArray, step: _Step) -> _Step:
-    """Correct a step so that its pairs do meet where it ends.
+    """Return a step corrected so that its pairs of eigenvalues meet at its end.
 
-    Their distance is a square root, so that an error of second order in the step would cost to first order.
+    The distance of a pair is a square root. So an error of second order in the step would change it to first order.
     """
     move, width = step.move, problem.upper - problem.lower
     places = [mean.place for mean in step.meeting]
@@ -248,7 +251,7 @@ def _solver(n: int, m: int) -> Any:
 def _solve(
     H: FloatArray, g: FloatArray, A: FloatArray, low: FloatArray, high: FloatArray, lower: FloatArray, upper: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
-    """Solve a small convex quadratic programme with CasADi's DAQP; None where it has no solution."""
+    """Return the solution of a small convex quadratic programme by CasADi's DAQP, or None."""
     solver = _solver(len(g), len(A))
     answer: dict[str, Any] = solver(h=H, g=g, a=A, lba=low, uba=high, lbx=lower, ubx=upper)
     y = answer["x"].full()[:, 0]
@@ -258,14 +261,14 @@ def _solve(
 
 
 def _curvature(problem: GainProblem, x: FloatArray, step: _Step) -> FloatArray:
-    """Second derivative of the weighted functions by differences of their slopes, made convex."""
+    """Return the second derivative of the weighted functions, by differences of their gradients, made convex."""
     width = problem.upper - problem.lower
     if not step.weights:
         return np.zeros((len(x), len(x)))
     h = np.where(x + _DIFFERENCE * width > problem.upper, -_DIFFERENCE, _DIFFERENCE) * width
     slopes = problem.slopes_at([piece for piece, _ in step.weights], [x, *(x + np.diag(h))])
     signs = np.array([-w if piece.kind in ("aim", "pair") else w for piece, w in step.weights])
-    # a piece whose slope cannot be told near a design is left out
+    # functions without a gradient at a nearby design are left out
     H = np.einsum("n,qnd->qd", signs, np.nan_to_num((slopes[1:] - slopes[0]) / h[:, None, None]))
     values, vectors = np.linalg.eigh((H + H.T) / 2)
     return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T)

@@ -7,19 +7,19 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SearchStep:
-    """One entry of a search's history.
+    """Progress of a search after one stage.
 
     Attributes
     ----------
     stage : str
-        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak that the grid had missed) or
-        ``"points"`` (worst points added).
+        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak between grid frequencies was added) or
+        ``"points"`` (worst points were added).
     count : int
-        Designs evaluated so far.
+        Number of designs evaluated so far.
     value : float
-        Best aim so far, damping factor or decay rate [1/s].
+        Best objective so far, damping factor or decay rate [1/s].
     violation : float
-        By how much its worst limit is exceeded, relative; 0 when all are kept.
+        Largest relative violation of a limit by this design; 0 when all limits hold.
     """
 
     stage: str
