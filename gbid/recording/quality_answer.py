@@ -33,7 +33,7 @@ SYNCHRONOUS = 2
 _MOVES = 1e-3  # of the largest standard deviation of the inputs
 
 
-class _Answer(NamedTuple):
+class _Response(NamedTuple):
     """Response of the outputs to the inputs, over the band of the inputs."""
 
     gain: FloatArray  # rms of |H|, weighted by input power, (n_outputs, n_inputs); NaN for inputs that do not move
@@ -54,11 +54,11 @@ def find_answer_problems(rec: Recording) -> Iterator[SignalProblem]:
     source = chain[0]
     swapped = []
     for name in chain[1:]:
-        answer = _answer(rec.signal(source), _without_turning(rec, rec.signal(name)))
-        if answer is None:
+        response = _response(rec.signal(source), _without_turning(rec, rec.signal(name)))
+        if response is None:
             return
-        yield from _dead(rec, source, name, answer)
-        if _crossed(answer):
+        yield from _dead(rec, source, name, response)
+        if _crossed(response):
             swapped.append(name)
     if swapped:
         yield _swapped(rec, chain, swapped)
@@ -80,24 +80,24 @@ def _swapped(rec: Recording, chain: list[str], swapped: list[str]) -> SignalProb
     return SignalProblem(name, "", "swapped", text)
 
 
-def _dead(rec: Recording, source: str, name: str, answer: _Answer) -> Iterator[SignalProblem]:
+def _dead(rec: Recording, source: str, name: str, response: _Response) -> Iterator[SignalProblem]:
     for j, channel in enumerate(rec.channels[name]):
         values = rec.signal(name)[:, j]
-        if values.min() == values.max() or np.isnan(answer.gain[0, j]):
+        if values.min() == values.max() or np.isnan(response.gain[0, j]):
             continue  # constant channels are reported elsewhere; an axis at rest cannot be tested
-        if answer.coherence[j] < answer.chance:
+        if response.coherence[j] < response.chance:
             text = (
                 f"recording {rec.name!r}: signal {name!r} channel {channel!r} is dead: it does not respond to "
-                f"{source!r} (coherence {answer.coherence[j]:.2f}; unrelated signals reach {answer.chance:.2f}); "
+                f"{source!r} (coherence {response.coherence[j]:.2f}; unrelated signals reach {response.chance:.2f}); "
                 "check the sensor, its cable and the column of the mapping."
             )
             yield SignalProblem(name, channel, "dead", text)
 
 
-def _crossed(answer: _Answer) -> bool:
-    g = answer.gain
+def _crossed(response: _Response) -> bool:
+    g = response.gain
     moving = np.flatnonzero(~np.isnan(g[0]))
-    alive = answer.coherence >= answer.chance
+    alive = response.coherence >= response.chance
     if len(moving) == 2:
         crossed, direct = np.array([g[0, 1], g[1, 0]]), np.diag(g)
         return bool(alive.all() and (crossed > direct).all() and crossed.prod() > CROSSED**2 * direct.prod())
@@ -105,7 +105,7 @@ def _crossed(answer: _Answer) -> bool:
     return bool(alive[1 - j] and g[1 - j, j] > CROSSED * g[j, j])
 
 
-def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
+def _response(inputs: FloatArray, outputs: FloatArray) -> _Response | None:
     """Return estimated gain and coherence, or None when no input moves or the recording is too short."""
     n_segments = int(np.clip(len(inputs) // GOOD_SEGMENT, *SEGMENTS))
     std = inputs.std(axis=0)
@@ -128,7 +128,7 @@ def _answer(inputs: FloatArray, outputs: FloatArray) -> _Answer | None:
     own_power = np.einsum("fjj->fj", s_uu).real
     gain[:, moving] = np.sqrt(np.einsum("fij,fj->ij", np.abs(h) ** 2, own_power) / own_power.sum(axis=0))
     chance = float(betaincinv(len(moving), n_segments - len(moving), CHANCE))
-    return _Answer(gain, np.median(coherence, axis=0), chance)
+    return _Response(gain, np.median(coherence, axis=0), chance)
 
 
 def _without_turning(rec: Recording, values: FloatArray) -> FloatArray:

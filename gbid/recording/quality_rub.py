@@ -56,18 +56,18 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     p = _median_of_three(rec.signal("p"))
     p = p - p.mean(axis=0)
     k = np.arange(half - 1, rec.n_samples - half + 1)
-    weighed, basis = _weak_form(rec, p, half)
+    weighted, basis = _weak_form(rec, p, half)
     sound = (k >= max(_LAGS) + half) & (k < rec.n_samples - half + min(_LAGS)) & ~_struck(rec, half)[k]
-    k, weighed, basis = k[sound], weighed[sound], basis[sound]
+    k, weighted, basis = k[sound], weighted[sound], basis[sound]
     if len(k) < _MIN_SAMPLES // 2:
         return
-    some = _in_motion(weighed)[::_EVERY]
-    left, sigma = _left(weighed, basis, some)
+    some = _in_motion(weighted)[::_EVERY]
+    residual, sigma = _robust_residual(weighted, basis, some)
     speed = float(np.sqrt(np.mean(np.sum(np.diff(p, axis=0) ** 2, axis=1))))
     limit = max(SIGMAS * sigma, LEAST * speed)
     radius = np.hypot(*p[k].T)
     far = radius > OUTSIDE * radius.max()
-    inward = -np.sum(p[k[far]] * left[far], axis=1) / radius[far]
+    inward = -np.sum(p[k[far]] * residual[far], axis=1) / radius[far]
     at = k[far]
     outward = inward[_apart(at, at[inward > limit], 2 * half)].min(initial=0.0)
     hit = at[inward > max(limit, -OVER_OUTWARD * outward)]
@@ -90,29 +90,29 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
     window = (1 + np.cos(np.pi * t)) / 2
     slope, bend = -np.pi / 2 * np.sin(np.pi * t) / half, -(np.pi**2) / 2 * np.cos(np.pi * t) / half**2
     n = len(p) - 2 * half + 2
-    columns = [np.ones((n, 1)), _weigh(p, window), _weigh(p, slope)]
-    columns.append(_weigh(_film(p), window))
+    columns = [np.ones((n, 1)), _correlate(p, window), _correlate(p, slope)]
+    columns.append(_correlate(_film(p), window))
     source = next((name for name in ("u", "r") if name in rec.signals), None)
     if source:
         moved = rec.signal(source)
-        weighed = _weigh(moved - moved.mean(axis=0), window)
-        columns += [np.roll(weighed, lag, axis=0) for lag in _LAGS]  # np.roll wraps at the ends, which are left out
+        weighted = _correlate(moved - moved.mean(axis=0), window)
+        columns += [np.roll(weighted, lag, axis=0) for lag in _LAGS]  # np.roll wraps at the ends, which are left out
     if "phi" in rec.signals and np.ptp(rec.signal("phi")) > 0:
         turned = np.exp(1j * rec.signal("phi")[half - 1 : half - 1 + n, :1])
         for order in range(1, _HARMONICS + 1):
             wave = turned**order
             columns += [wave.real, wave.imag]
-    return _weigh(p, bend), np.hstack(columns)
+    return _correlate(p, bend), np.hstack(columns)
 
 
-def _left(weighed: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
+def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
     """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
     for _ in range(_ROUNDS):
-        left = weighed - basis @ _least_squares(basis[some], weighed[some])
-        size = np.abs(left[some] - np.median(left[some], axis=0))
+        residual = weighted - basis @ _least_squares(basis[some], weighted[some])
+        size = np.abs(residual[some] - np.median(residual[some], axis=0))
         sigma = 1.4826 * float(np.median(size, axis=0).max())
         some = some[(size < _TRIM * sigma).all(axis=1)] if sigma else some
-    return left, sigma
+    return residual, sigma
 
 
 def _film(p: FloatArray) -> FloatArray:
@@ -130,13 +130,13 @@ def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> Boo
     return np.asarray(np.minimum(np.abs(at - before), np.abs(behind - at)) > gap, dtype=bool)
 
 
-def _weigh(values: FloatArray, window: FloatArray) -> FloatArray:
+def _correlate(values: FloatArray, window: FloatArray) -> FloatArray:
     return np.stack([np.correlate(column, window, mode="valid") for column in values.T], axis=-1)
 
 
-def _in_motion(weighed: FloatArray) -> npt.NDArray[np.int_]:
+def _in_motion(weighted: FloatArray) -> npt.NDArray[np.int_]:
     """Return the samples at which the disc moves; samples at rest would let noise decide the regression."""
-    energy = np.sum(weighed**2, axis=1)
+    energy = np.sum(weighted**2, axis=1)
     return np.flatnonzero(energy > 0.1 * energy.mean())
 
 

@@ -266,12 +266,12 @@ def _in_closed_form(run: _Run, sensor: FloatArray) -> SteppedMotion:
     )
 
 
-def _stack_references(experiment: Experiment, told: FloatArray) -> FloatArray:
+def _stack_references(experiment: Experiment, command: FloatArray) -> FloatArray:
     """Return the references of the stacks [m]; zero for a stack in open loop."""
     if isinstance(experiment, StackStaircase) and not experiment.controlled:
-        told = told.copy()
-        told[:, experiment.stack - 1] = 0.0
-    return told
+        command = command.copy()
+        command[:, experiment.stack - 1] = 0.0
+    return command
 
 
 def _speed(conditions: Mapping[str, float]) -> float:

@@ -46,14 +46,14 @@ def run_in_python(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatAr
             state.command[:] = controller.C @ state.controller + controller.D @ e
             state.controller[:] = controller.A @ state.controller + controller.B @ e
         row[ROW.r], row[ROW.u], row[ROW.p], row[ROW.seen] = r, history[kept + k * over], disc, seen
-        told = np.zeros(4)
+        command = np.zeros(4)
         if stacks is not None:
-            told = chunk.base[k] + stacks.share_x * r[0] + stacks.share_y * r[1]
-            row[ROW.stacks], row[ROW.told] = state.stack[2], told
+            command = chunk.base[k] + stacks.share_x * r[0] + stacks.share_y * r[1]
+            row[ROW.stacks], row[ROW.told] = state.stack[2], command
         worst = float(disc @ disc)
         for t in range(k * over, (k + 1) * over):
             if stacks is not None:
-                volts, ended = _step_stacks(stacks, state, told, rotor[STEP])
+                volts, ended = _step_stacks(stacks, state, command, rotor[STEP])
                 if t == k * over:
                     row[ROW.volts] = volts
                 row[ROW.ended] += ended / over
@@ -80,7 +80,7 @@ def _looked_up(history: FloatArray, at: FloatArray) -> FloatArray:
     return np.asarray((1 - w) * history[i, axis] + w * history[i + 1, axis])
 
 
-def _step_stacks(p: StackArrays, state: StepState, told: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
+def _step_stacks(p: StackArrays, state: StepState, command: FloatArray, h: float) -> tuple[FloatArray, FloatArray]:
     """Advance the four stacks by one step; return the voltages at its start and which stacks were saturated."""
     crept = state.creep.sum(axis=0)
     volts = np.zeros(4)
@@ -88,15 +88,15 @@ def _step_stacks(p: StackArrays, state: StepState, told: FloatArray, h: float) -
     def rates(part: float, x: FloatArray) -> FloatArray:
         q, a, y = x
         plays = np.maximum(a - p.thresholds, np.minimum(a, state.plays)).sum(axis=0)
-        e = p.reference_gain * told - y
-        v = np.clip(np.where(p.open_loop != 0, told, p.gain * (q + e)), 0.0, p.voltage_limit)
+        e = p.reference_gain * command - y
+        v = np.clip(np.where(p.open_loop != 0, command, p.gain * (q + e)), 0.0, p.voltage_limit)
         if part == 0.0:
             volts[:] = v
         goal = np.clip(p.spring * a + p.play * plays + crept, 0.0, p.stroke)
         return np.array([p.lead * e - p.pole * q, p.slow * (v - a), p.fast * (goal - y)])
 
     x = state.stack
-    wanted = p.gain * (x[0] + p.reference_gain * told - x[2])
+    wanted = p.gain * (x[0] + p.reference_gain * command - x[2])
     beyond = (p.open_loop == 0) & ((wanted < 0) | (wanted > p.voltage_limit))
     ended = beyond | (x[2] > p.stroke * (1 - 1e-6))
     x += _runge_kutta(rates, x, h)
