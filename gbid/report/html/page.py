@@ -9,6 +9,7 @@ from typing import Any, ClassVar
 from gbid.experiment.experiment import Experiment
 from gbid.operating_point import point_label
 from gbid.report.html.pictures import Picture
+from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Table
 
 
@@ -98,6 +99,6 @@ def fit_href(name: str, model: str) -> str:
 
 
 def in_units(value: float, unit: str) -> str:
-    """Write a value with three digits, lengths in micrometres."""
-    factor, shown = (1e6, "µm") if unit == "m" else (1.0, unit)
+    """Write a value with three digits in the unit that readers are shown."""
+    factor, shown = shown_unit(unit)
     return f"{factor * value:.3g} {shown}".rstrip()
