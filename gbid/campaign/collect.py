@@ -6,16 +6,14 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 
+from gbid.campaign.plan import early_tasks
 from gbid.errors import DataError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.failures import remembered_failure
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import produce
-from gbid.experiment.stages.fit.stage import fit_tasks
-from gbid.experiment.stages.importing.stage import import_tasks
-from gbid.experiment.stages.prefilter.stage import prefilter_tasks
-from gbid.experiment.stages.rig.stage import rig_tasks
+from gbid.experiment.stages.fit.stage import FIT, fit_tasks
 from gbid.identify import FitTable, TableEntry, load_fit, load_table, save_table, tabulate
 from gbid.identify.table.table_store import csv_table
 from gbid.tables.csv import write_csv
@@ -77,9 +75,8 @@ def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
     there = [stored_key(task.path) == task.key for task in tasks]
     sources: dict[str, list[Task]] = {}
     if not all(there):
-        for list_tasks in (rig_tasks, import_tasks, prefilter_tasks):
-            for source in list_tasks(job):
-                sources.setdefault(source.item, []).append(source)
+        for source in (task for _, found in early_tasks(job) for task in found if task.stage != FIT.name):
+            sources.setdefault(source.item, []).append(source)
     return [found or _why_not(job, task, sources) for found, task in zip(there, tasks, strict=True)]
 
 

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 from gbid.campaign.shard import Shard, tasks_of
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import standing
-from gbid.experiment.stages.fit.stage import fit_tasks
-from gbid.experiment.stages.importing.stage import import_tasks
-from gbid.experiment.stages.prefilter.stage import prefilter_tasks
-from gbid.experiment.stages.rig.stage import rig_tasks
-
-STAGES: tuple[Callable[[Job], list[Task]], ...] = (rig_tasks, import_tasks, prefilter_tasks, fit_tasks)
-"""From recordings to fits; each stage starts from what the one before made."""
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages import registry
 
 
 @dataclass(frozen=True)
@@ -24,11 +18,13 @@ class Planned:
 
     Attributes
     ----------
+    stage : Stage
     tasks : tuple of Task
     known : tuple of Outcome or None
         For each task what is known of it already; None for one to be done.
     """
 
+    stage: Stage
     tasks: tuple[Task, ...]
     known: tuple[Outcome | None, ...]
 
@@ -53,8 +49,14 @@ def plan_campaign(job: Job, shard: Shard | None = None) -> list[Planned]:
         When a result made from other settings is there and may not be replaced, before any work is done.
     """
     stages = []
-    for list_tasks in STAGES:
-        tasks = tasks_of(shard, job.experiment, list_tasks(job))
+    for stage, all_tasks in early_tasks(job):
+        tasks = tasks_of(shard, job.experiment, all_tasks)
         if tasks:
-            stages.append(Planned(tuple(tasks), tuple(standing(job, task) for task in tasks)))
+            stages.append(Planned(stage, tuple(tasks), tuple(standing(job, task) for task in tasks)))
     return stages
+
+
+def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
+    """List the stages whose tasks are known before anything has run, from recordings to fits, with their tasks."""
+    early = [stage for stage in registry.STAGES if stage.early]
+    return [(stage, [item for item in stage.tasks(job) if isinstance(item, Task)]) for stage in early]

@@ -15,7 +15,7 @@ from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import run_tasks
 from gbid.experiment.run.reporter import Reporter, Silent
-from gbid.experiment.stages.prefilter.stage import map_tasks
+from gbid.experiment.run.stage import go_on
 
 
 @contextmanager
@@ -95,12 +95,10 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
             outcome or _without_input(task, failed) for task, outcome in zip(planned.tasks, planned.known, strict=True)
         ]
         made = run_tasks(job, planned.tasks, known)
-        outcomes += made
         for task, outcome in zip(planned.tasks, made, strict=True):
             if outcome.state == "failed" and task.stage != "fit":
                 failed.setdefault(task.item, outcome)
-        if shard is None and planned.tasks[0].stage == "prefilter":
-            outcomes += run_tasks(job, map_tasks(job, failed))
+        outcomes += made if shard is not None else go_on(job, planned.stage, made)
     return outcomes
 
 

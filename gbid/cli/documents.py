@@ -12,21 +12,26 @@ from gbid.experiment.experiment import Experiment
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.stages.crossval.rows import CrossvalRow
-from gbid.experiment.stages.crossval.stage import SUMMARY
+from gbid.experiment.stages.crossval.stage import SUMMARY, crossval_rows
 from gbid.experiment.stages.fit.stage import load_made_fit
 from gbid.experiment.stages.fit.structures import make_structure
 from gbid.experiment.stages.fit.truth import true_model, true_values
 from gbid.experiment.stages.impact.stage import made_impacts
+from gbid.experiment.stages.lpv.stage import made_surfaces
+from gbid.experiment.stages.nominal.stage import nominal_of
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.static.stage import load_made_static
+from gbid.experiment.stages.tune.stage import made_designs
 from gbid.identify import FitTable
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
 from gbid.report.tables.fit_document import fit_document
 from gbid.report.tables.impact_tables import impact_document
+from gbid.report.tables.lpv_tables import lpv_documents
 from gbid.report.tables.recording_tables import prefilter_rows
 from gbid.report.tables.static_tables import static_document
-from gbid.report.tables.validation_tables import summary_document
+from gbid.report.tables.tuning_tables import tuning_documents
+from gbid.report.tables.validation_tables import nominal_document, summary_document
 from gbid.validate import load_validation_summary
 
 
@@ -34,7 +39,7 @@ def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> 
     """Describe recordings that were made or imported; those that failed are left out."""
     documents = []
     for outcome in outcomes:
-        if outcome.state != "failed":
+        if outcome.stage in ("rig", "import") and outcome.state != "failed":
             recording = load_recording(outcome.path)
             documents.append(
                 {
@@ -147,3 +152,29 @@ def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
 def crossval_documents(rows: Sequence[CrossvalRow]) -> list[dict[str, Any]]:
     """Rows of the cross-validation."""
     return [{**asdict(row), "missed": row.missed} for row in rows]
+
+
+def validation_documents(job: Job, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Rows and summaries of the cross-validations."""
+    made = any(o.stage == "crossval" and o.state != "failed" for o in outcomes)
+    rows = crossval_documents(crossval_rows(job)) if made else []
+    return {"crossval": rows, "crossval_summary": summary_documents(outcomes)}
+
+
+def nominal_document_of(job: Job, outcomes: Sequence[Outcome]) -> dict[str, Any] | None:
+    """Describe the nominal actuator; None when there is none."""
+    for outcome in outcomes:
+        if outcome.stage == "nominal" and outcome.state != "failed":
+            nominal, _ = nominal_of(job)
+            return nominal_document(outcome.item, nominal, outcome.path)
+    return None
+
+
+def surface_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Describe surfaces; those that failed are left out."""
+    return lpv_documents(job.experiment, [o for o in outcomes if o.stage == "lpv"], made_surfaces(outcomes))
+
+
+def design_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
+    """Describe tuned designs; those that failed are left out."""
+    return tuning_documents(outcomes, made_designs(outcomes))

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
 
 from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.stages.crossval.rows import CrossvalRow
 
 _MISSED = 20  # pairs below the minimum that are named
 _IDLE = 20  # items without input that are named
@@ -33,11 +32,18 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     ]
 
 
-def finish(outcomes: Sequence[Outcome], rows: Sequence[CrossvalRow] = ()) -> None:
-    """List what failed on standard error and end with the exit code: the lowest that holds, or 0."""
+def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = ()) -> None:
+    """List what failed on standard error and end with the exit code: the lowest that holds, or 0.
+
+    Parameters
+    ----------
+    outcomes : sequence of Outcome
+    validated : sequence of dict
+        Documents of the rows of cross-validations.
+    """
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
-    missed = [row for row in rows if row.missed]
+    missed = [row for row in validated if row["missed"]]
     idle = [o for o in failed if o.cause == "input"]
     if len(idle) > _IDLE:
         for stage, count in Counter(o.stage for o in idle).items():
@@ -48,10 +54,10 @@ def finish(outcomes: Sequence[Outcome], rows: Sequence[CrossvalRow] = ()) -> Non
         typer.echo(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}", err=True)
     for o in stuck:
         typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})", err=True)
-    for row in sorted(missed, key=lambda row: row.fit_percent)[:_MISSED]:
+    for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
         typer.echo(
-            f"gbid: error: crossval {row.fit}: model of {row.model} on {row.recording}: "
-            f"{row.output} {row.fit_percent:.2f} %, below the {row.minimum_percent:g} % asked for; "
+            f"gbid: error: crossval {row['fit']}: model of {row['model']} on {row['recording']}: "
+            f"{row['output']} {row['fit_percent']:.2f} %, below the {row['minimum_percent']:g} % asked for; "
             "look at its figures (`residuals: true`), or lower minimum_percent",
             err=True,
         )

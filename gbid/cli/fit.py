@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -23,35 +23,18 @@ def fit(
 ) -> None:
     """Prefilter the recordings, if the YAML says so, and run the fits."""
     with guarded(as_json, debug):
-        from gbid.campaign.run import working
-        from gbid.cli.documents import fit_documents, prefilter_documents
-        from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_tables
-        from gbid.cli.progress import reporting
+        from gbid.cli.stages import opened, tell
         from gbid.errors import UsageError
-        from gbid.experiment.load import load_experiment
         from gbid.experiment.problems import nearest
-        from gbid.experiment.stages.fit.stage import run_fits
-        from gbid.experiment.stages.prefilter.stage import prefilter_recordings
-        from gbid.report.tables.fit_tables import fit_tables
-        from gbid.report.tables.recording_tables import prefilter_table
+        from gbid.experiment.run.perform import run_tasks
+        from gbid.experiment.run.stage import run_stage
+        from gbid.experiment.stages.fit.stage import FIT, fit_tasks
+        from gbid.experiment.stages.prefilter.stage import PREFILTER
 
-        loaded = load_experiment(experiment, results)
-        if not loaded.spec.fits:
-            raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do; add one")
-        if only is not None and only not in loaded.spec.fits:
-            raise UsageError(f"--only {only}: no such fit; {nearest(only, loaded.spec.fits)}")
-        with (
-            reporting() as reporter,
-            working(loaded, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,
-        ):
-            outcomes = [*prefilter_recordings(job), *run_fits(job, only)]
-        documents, filtered = fit_documents(job, outcomes), prefilter_documents(outcomes)
-        if as_json:
-            print_json({"prefilter": filtered, "fits": documents, "outcomes": outcome_rows(outcomes)})
-        else:
-            if filtered:
-                print_tables(prefilter_table(filtered))
-            for document in documents:
-                print_tables(*fit_tables(f"{document['fit']}, {document['model']}", document))
-        finish(outcomes)
+        options: dict[str, Any] = {"overwrite": overwrite, "engine": engine, "workers": workers, "retry": retry}
+        with opened(experiment, [FIT.section], results, **options) as job:
+            fits = job.experiment.spec.fits
+            if only is not None and only not in fits:
+                raise UsageError(f"--only {only}: no such fit; {nearest(only, fits)}")
+            outcomes = [*run_stage(job, PREFILTER), *run_tasks(job, fit_tasks(job, only))]
+        tell(job, [PREFILTER, FIT], outcomes, as_json)

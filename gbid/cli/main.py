@@ -10,22 +10,16 @@ import typer
 from gbid._version import __version__
 from gbid.cli.batch import batch
 from gbid.cli.check import check
-from gbid.cli.crossval import crossval
 from gbid.cli.exporting import export
 from gbid.cli.figures import figures
 from gbid.cli.fit import fit
-from gbid.cli.groups import CONTROL, DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
-from gbid.cli.impact import impact
-from gbid.cli.importing import import_data
-from gbid.cli.lpv import lpv
+from gbid.cli.groups import IDENTIFY, REPORT, START, GroupedCommands, examples
 from gbid.cli.new import new
 from gbid.cli.report import report
 from gbid.cli.reproduce import reproduce
-from gbid.cli.rig import rig
 from gbid.cli.run import run
 from gbid.cli.schema import schema
-from gbid.cli.static import static
-from gbid.cli.tune import tune
+from gbid.cli.stage_verbs import STAGE_VERBS, command_of
 
 app = typer.Typer(
     name="gbid",
@@ -71,8 +65,6 @@ app.command(
 app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
     schema
 )
-app.command("rig", rich_help_panel=DATA, epilog=examples("gbid rig rig1/experiment.yaml --overwrite"))(rig)
-app.command("import", rich_help_panel=DATA, epilog=examples("gbid import rig2/experiment.yaml"))(import_data)
 app.command("fit", rich_help_panel=IDENTIFY, epilog=examples("gbid fit rig1/experiment.yaml --only bearing"))(fit)
 app.command(
     "batch",
@@ -83,23 +75,8 @@ app.command(
         "gbid batch rig1/experiment.yaml --scheduler tcp://node1:8786",
     ),
 )(batch)
-app.command("static", rich_help_panel=IDENTIFY, epilog=examples("gbid static rig1/experiment.yaml --json"))(static)
-app.command(
-    "lpv",
-    rich_help_panel=IDENTIFY,
-    epilog=examples("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
-)(lpv)
-app.command("crossval", rich_help_panel=IDENTIFY, epilog=examples("gbid crossval rig1/experiment.yaml"))(crossval)
-app.command(
-    "tune",
-    rich_help_panel=CONTROL,
-    epilog=examples("gbid tune rig1/experiment.yaml", "gbid tune rig1/experiment.yaml --json > designs.json"),
-)(tune)
-app.command(
-    "impact",
-    rich_help_panel=CONTROL,
-    epilog=examples("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
-)(impact)
+for _verb in STAGE_VERBS:
+    app.command(_verb.name, rich_help_panel=_verb.group, epilog=examples(*_verb.examples))(command_of(_verb))
 app.command("figures", rich_help_panel=REPORT, epilog=examples("gbid figures theisen2016.yaml --overwrite"))(figures)
 app.command(
     "reproduce",

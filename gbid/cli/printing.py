@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from gbid.tables.table import Table
 
 _PIPE_WIDTH = 140
-_ROWS = 60  # of a cross-validation; more are in its CSV file only
 
 
 def print_json(document: Mapping[str, Any]) -> None:
@@ -33,17 +32,6 @@ def print_tables(*tables: Table) -> None:
         console = Console(highlight=False, width=_PIPE_WIDTH)
     for table in tables:
         console.print(terminal_table(table), "")
-
-
-def print_crossval(rows: Sequence[Mapping[str, Any]], summaries: Sequence[Mapping[str, Any]]) -> None:
-    """Print the tables of each fit that was cross-validated: its pairs, unless they are many, and their summary."""
-    from gbid.report.tables.validation_tables import crossval_table, validation_table
-
-    for summary in summaries:
-        own = [dict(row) for row in rows if row["fit"] == summary["fit"]]
-        if len(own) <= _ROWS:
-            print_tables(crossval_table(summary["fit"], own))
-        print_tables(validation_table(dict(summary)))
 
 
 def _plain(value: Any) -> Any:

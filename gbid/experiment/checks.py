@@ -4,21 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-from gbid.experiment.experiment import Check, Experiment
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import planned_recordings
 from gbid.experiment.problems import Found, Location
-from gbid.experiment.stages.crossval.checks import crossval_has_partners
-from gbid.experiment.stages.figures.checks import figures_show_fits
-from gbid.experiment.stages.fit.checks import FIT_CHECKS
-from gbid.experiment.stages.fit.option_checks import OPTION_CHECKS
-from gbid.experiment.stages.impact.checks import impacts_can_be_made
-from gbid.experiment.stages.importing.checks import data_can_be_read
-from gbid.experiment.stages.lpv.checks import surfaces_can_be_drawn
-from gbid.experiment.stages.nominal.checks import nominal_is_an_actuator
-from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
-from gbid.experiment.stages.rig.checks import RIG_CHECKS
-from gbid.experiment.stages.static.checks import static_makes_sense
-from gbid.experiment.stages.tune.checks import designs_can_be_tuned
+from gbid.experiment.stages import registry
 
 
 def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str]]:
@@ -30,7 +19,8 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
         Where in the YAML, and what is wrong; each once.
     """
     found: list[tuple[Location, str]] = []
-    for check in CHECKS:
+    checks = [check for stage in registry.STAGES for check in stage.checks]
+    for check in (has_recordings, names_are_unique, *checks):
         found += check(experiment)
     return list(dict.fromkeys(found))
 
@@ -63,22 +53,3 @@ def names_are_unique(experiment: Experiment) -> Found:
             where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
             yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"
         seen.add(q.name)
-
-
-CHECKS: tuple[Check, ...] = (
-    has_recordings,
-    names_are_unique,
-    *RIG_CHECKS,
-    data_can_be_read,
-    runout_maps_can_be_made,
-    static_makes_sense,
-    *FIT_CHECKS,
-    *OPTION_CHECKS,
-    crossval_has_partners,
-    nominal_is_an_actuator,
-    surfaces_can_be_drawn,
-    designs_can_be_tuned,
-    impacts_can_be_made,
-    figures_show_fits,
-)
-"""All checks, in the order of the file's sections."""

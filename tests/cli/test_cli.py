@@ -196,10 +196,11 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
     from gbid.cli.documents import crossval_documents, fit_documents, prefilter_documents
     from gbid.experiment.load import load_experiment
     from gbid.experiment.run.job import Job
-    from gbid.experiment.stages.crossval.stage import run_crossval
-    from gbid.experiment.stages.fit.stage import run_fits
-    from gbid.experiment.stages.prefilter.stage import prefilter_recordings
-    from gbid.experiment.stages.rig.stage import make_rig_recordings
+    from gbid.experiment.run.stage import run_stage
+    from gbid.experiment.stages.crossval.stage import CROSSVAL, crossval_rows
+    from gbid.experiment.stages.fit.stage import FIT
+    from gbid.experiment.stages.prefilter.stage import PREFILTER
+    from gbid.experiment.stages.rig.stage import RIG
     from gbid.report.tables.fit_tables import fit_tables
     from gbid.report.tables.recording_tables import prefilter_table
     from gbid.report.tables.validation_tables import crossval_table
@@ -207,11 +208,12 @@ def test_tables_fit_a_terminal_of_80_columns(tmp_path, capsys):
 
     path = write_quick(tmp_path, ("{structure: piezo_pair}", "{structure: plant, offsets: true}"))
     job = Job(load_experiment(path))
-    make_rig_recordings(job)
-    outcomes = [*prefilter_recordings(job), *run_fits(job)]
+    run_stage(job, RIG)
+    outcomes = [*run_stage(job, PREFILTER), *run_stage(job, FIT)]
     tables = [table for found in fit_documents(job, outcomes) for table in fit_tables(found["fit"], found)]
     tables += [prefilter_table(prefilter_documents(outcomes))]
-    tables += [crossval_table("bearing", crossval_documents(run_crossval(job)[1]))]
+    run_stage(job, CROSSVAL)
+    tables += [crossval_table("bearing", crossval_documents(crossval_rows(job)))]
     console = Console(width=80, highlight=False)
     for table in tables:
         console.print(terminal_table(table))

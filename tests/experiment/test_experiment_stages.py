@@ -12,13 +12,14 @@ from gbid.errors import DataError, UsageError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
-from gbid.experiment.stages.crossval.stage import run_crossval
-from gbid.experiment.stages.fit.stage import fit_arguments, load_made_fit, run_fits, samples_of
+from gbid.experiment.run.stage import run_stage
+from gbid.experiment.stages.crossval.stage import CROSSVAL, crossval_rows
+from gbid.experiment.stages.fit.stage import FIT, fit_arguments, load_made_fit, samples_of
 from gbid.experiment.stages.fit.structures import make_structure
 from gbid.experiment.stages.fit.truth import true_model, true_values
-from gbid.experiment.stages.importing.stage import import_recordings
-from gbid.experiment.stages.prefilter.stage import prefilter_recordings
-from gbid.experiment.stages.rig.stage import make_rig_recordings
+from gbid.experiment.stages.importing.stage import IMPORT
+from gbid.experiment.stages.prefilter.stage import PREFILTER
+from gbid.experiment.stages.rig.stage import RIG
 from gbid.identify import fit
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
@@ -47,10 +48,9 @@ SUMMARIES = ("bearing_summary.csv", "bearing_summary.h5")
 
 def all_stages(job):
     outcomes = []
-    for stage in (make_rig_recordings, import_recordings, prefilter_recordings, run_fits):
-        outcomes += stage(job)
-    made, rows = run_crossval(job)
-    return outcomes + made, rows
+    for stage in (RIG, IMPORT, PREFILTER, FIT, CROSSVAL):
+        outcomes += run_stage(job, stage)
+    return outcomes, crossval_rows(job)
 
 
 @pytest.fixture(scope="module")
@@ -194,14 +194,14 @@ def test_titles_and_thresholds_do_not_make_results_stale(again):
 def test_a_truncated_recording_fails_its_own_items_only(again):
     path = again / "results/quick/recordings/p5_n6000_prbs1.h5"
     path.write_bytes(path.read_bytes()[:5000])
-    outcomes = make_rig_recordings(Job(load_experiment(again / "experiment.yaml")))
+    outcomes = run_stage(Job(load_experiment(again / "experiment.yaml")), RIG)
     assert [o.state for o in outcomes] == ["kept", "failed", "kept"]
     assert "truncated" in outcomes[1].text
     for folder in ("prefiltered", "prefilter", "fits", "crossval"):
         for file in (again / "results/quick" / folder).rglob("*.*"):
             file.unlink()
     job = Job(load_experiment(again / "experiment.yaml"))
-    outcomes = [*prefilter_recordings(job), *run_fits(job)]
+    outcomes = [*run_stage(job, PREFILTER), *run_stage(job, FIT)]
     assert {o.item: o.state for o in outcomes} == {
         "p5_n6000_prbs1": "failed",
         "p5_n6000_prbs2": "made",
@@ -212,14 +212,14 @@ def test_a_truncated_recording_fails_its_own_items_only(again):
         "piezos/p5_n6000_prbs2": "made",
     }
     assert "p5_n6000_prbs1.h5" in outcomes[0].text
-    outcomes, rows = run_crossval(job)
+    outcomes, rows = run_stage(job, CROSSVAL), crossval_rows(job)
     assert [o.state for o in outcomes] == ["failed", "failed"]
     assert rows == []
 
 
 def test_later_stages_name_what_is_missing(tmp_path):
     job = Job(load_experiment(write_quick(tmp_path)))
-    outcomes = prefilter_recordings(job)
+    outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"failed"}
     assert "`gbid rig` makes it" in outcomes[0].text
     with pytest.raises(DataError, match="`gbid fit` makes it"):
@@ -231,7 +231,7 @@ def test_a_fit_that_does_not_converge_is_written_and_flagged(again):
     path = write_quick(again, ("{structure: piezo_pair}", "{structure: piezo_pair, max_iterations: 1}"))
     job = Job(load_experiment(path), overwrite=True)
     for _ in range(2):  # made, then kept
-        outcomes = [o for o in run_fits(job) if o.item.startswith("piezos")]
+        outcomes = [o for o in run_stage(job, FIT) if o.item.startswith("piezos")]
         assert [o.converged for o in outcomes] == [False, False]
         assert "iteration limit" in outcomes[0].text
         assert load_made_fit(job, "piezos", "p5_n6000_prbs1").success is False
@@ -307,8 +307,8 @@ def test_a_rub_left_out_does_not_spoil_a_fit(tmp_path):
         path = write_spring(folder, ("focus: simulation", f"focus: simulation{change}"))
         write_spring_data(folder / "data" / "run1.csv", 1, damage=rub)
         job = Job(load_experiment(path))
-        import_recordings(job)
-        run_fits(job)
+        run_stage(job, IMPORT)
+        run_stage(job, FIT)
         result = load_made_fit(job, "spring", "run1")
         off = abs(result.parameters["k"] - (2 * np.pi * 40) ** 2 * 1.0) / result.std["k"]
         assert (result.error_covariance[0, 0] < 0.06) == bool(change)
@@ -357,8 +357,8 @@ def test_several_starts_are_counted(tmp_path):
         tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 4, seed: 5, reach: 0.1}")
     )
     job = Job(load_experiment(path))
-    import_recordings(job)
-    (first, _) = run_fits(job)
+    run_stage(job, IMPORT)
+    (first, _) = run_stage(job, FIT)
     tried = load_made_fit(job, "spring", "run1").multi_start
     assert (tried.starts, tried.seed) == (4, 5)
     assert 1 <= tried.agreed <= tried.converged <= 4
@@ -417,12 +417,12 @@ def test_one_bad_recording_of_two(tmp_path, damage, words):
     path = write_spring(tmp_path)
     write_spring_data(tmp_path / "data" / "run1.csv", 1, damage=damage)
     job = Job(load_experiment(path))
-    first, second = import_recordings(job)
+    first, second = run_stage(job, IMPORT)
     assert (first.state, second.state) == ("failed", "made")
     for word in ["run1", *words]:
         assert word in first.text
     assert [p.name for p in (tmp_path / "results/spring/recordings").iterdir()] == ["run2.h5"]
-    outcomes = run_fits(job)
+    outcomes = run_stage(job, FIT)
     assert [o.state for o in outcomes] == ["failed", "made"]
 
 
@@ -431,12 +431,12 @@ def test_a_signal_may_rest_at_its_limits_when_the_yaml_says_so(tmp_path):
     write_spring_data(tmp_path / "data" / "run1.csv", 1, damage=saturated)
     text = path.read_text().replace("stored_unit: um}", "stored_unit: um, rests_at_limits: true}")
     path.write_text(text)
-    assert [o.state for o in import_recordings(Job(load_experiment(path)))] == ["made", "made"]
+    assert [o.state for o in run_stage(Job(load_experiment(path)), IMPORT)] == ["made", "made"]
 
 
 def test_means_are_removed_when_asked(tmp_path):
     path = write_spring(tmp_path, ("      time: time\n", "      time: time\n      remove_mean: true\n"))
-    import_recordings(Job(load_experiment(path)))
+    run_stage(Job(load_experiment(path)), IMPORT)
     rec = load_recording(tmp_path / "results/spring/recordings/run1.h5")
     assert np.abs(rec.signal("y").mean()) < 1e-12
     assert "mean" in rec.provenance["remove_mean"]
@@ -466,8 +466,8 @@ def test_prefilter_without_a_map(tmp_path):
         tmp_path, ("harmonics: 6", "method: none"), ("stationary: {recordings: 1}", "stationary: {recordings: 0}")
     )
     job = Job(load_experiment(path))
-    make_rig_recordings(job)
-    outcomes = prefilter_recordings(job)
+    run_stage(job, RIG)
+    outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
     assert load_prefilter(tmp_path / "results/quick/prefilter/p5_n6000.h5")[0] is None
 
@@ -477,8 +477,8 @@ def test_several_operating_points_have_their_own_maps_and_partners(tmp_path):
     path = write_quick(tmp_path, (points, points + "    - {pressure_bar: 6.5, speed_rpm: 0}\n"))
     assert QUICK.count(points) == 1
     job = Job(load_experiment(path))
-    assert len(make_rig_recordings(job)) == 6
-    outcomes = prefilter_recordings(job)
+    assert len(run_stage(job, RIG)) == 6
+    outcomes = run_stage(job, PREFILTER)
     assert [o.item for o in outcomes if "map" in o.item] == ["map p5_n6000", "map p6.5_n0"]
     assert {o.state for o in outcomes} == {"made"}
 

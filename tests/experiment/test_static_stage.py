@@ -11,14 +11,15 @@ from gbid.characterise import PiezoCurve, StaticMap, load_static
 from gbid.experiment.load import load_experiment
 from gbid.experiment.problems import ExperimentError
 from gbid.experiment.run.job import Job
-from gbid.experiment.stages.prefilter.stage import prefilter_recordings
-from gbid.experiment.stages.rig.stage import make_rig_recordings
-from gbid.experiment.stages.static.stage import run_static
+from gbid.experiment.run.stage import run_stage
+from gbid.experiment.stages.prefilter.stage import PREFILTER
+from gbid.experiment.stages.rig.stage import RIG
+from gbid.experiment.stages.static.stage import STATIC
 from gbid.lpv import load_model
 from gbid.prefilter import load_prefilter
 from gbid.recording import load_recording
 
-PREFILTER = """\
+AUTO = """\
 format: 1
 name: auto
 rig:
@@ -37,7 +38,7 @@ prefilter:
 @pytest.fixture(scope="module")
 def stairs(tmp_path_factory):
     path = write_quick(tmp_path_factory.mktemp("stairs"), text=STAIRS)
-    make_rig_recordings(Job(load_experiment(path)))
+    run_stage(Job(load_experiment(path)), RIG)
     return path
 
 
@@ -61,7 +62,7 @@ def test_static_writes_maps_and_tables(stairs, capsys):
         lines = list(csv.DictReader(line for line in handle if not line.startswith("#")))
     assert len(lines) == len(made.command) == 50
     assert float(lines[3]["p_x [m]"]) == made.output_mean[3, 0]
-    again = run_static(Job(load_experiment(stairs)))
+    again = run_stage(Job(load_experiment(stairs)), STATIC)
     assert [outcome.state for outcome in again] == ["kept"] * 4
 
 
@@ -97,17 +98,17 @@ def test_nothing_to_characterise_is_said(tmp_path, capsys):
 def test_a_plateau_too_short_is_a_failure_beside_the_others(stairs, tmp_path):
     path = write_quick(tmp_path, ("keep: 0.4", "keep: 0.001"), text=STAIRS)
     experiment = load_experiment(path)
-    make_rig_recordings(Job(experiment))
-    outcomes = run_static(Job(experiment))
+    run_stage(Job(experiment), RIG)
+    outcomes = run_stage(Job(experiment), STATIC)
     assert [(o.item, o.state) for o in outcomes[:2]] == [("film", "failed"), ("stack4", "made")]
     assert "hold each step longer" in outcomes[0].text
 
 
 def test_prefilter_auto_chooses_and_says_so(tmp_path):
-    experiment = load_experiment(write_quick(tmp_path, text=PREFILTER))
+    experiment = load_experiment(write_quick(tmp_path, text=AUTO))
     job = Job(experiment)
-    make_rig_recordings(job)
-    outcomes = prefilter_recordings(job)
+    run_stage(job, RIG)
+    outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
     assert "method auto: harmonics, 5; it leaves 30" in outcomes[-1].text
     runout_map, (report,) = load_prefilter(outcomes[-1].path)
@@ -117,10 +118,10 @@ def test_prefilter_auto_chooses_and_says_so(tmp_path):
 
 
 def test_prefilter_aligns_recordings_of_an_encoder_without_index(tmp_path):
-    path = write_quick(tmp_path, ("method: auto", "align_index: true"), text=PREFILTER)
+    path = write_quick(tmp_path, ("method: auto", "align_index: true"), text=AUTO)
     job = Job(load_experiment(path))
-    (first, second, excited) = make_rig_recordings(job)
-    assert {o.state for o in prefilter_recordings(job)} == {"made"}
+    (first, second, excited) = run_stage(job, RIG)
+    assert {o.state for o in run_stage(job, PREFILTER)} == {"made"}
     filtered = load_recording(job.path("prefiltered", excited.item))
     # the encoder of these has its index, so the offset is next to nothing
     words = filtered.provenance["index"].split()
@@ -135,11 +136,11 @@ def test_a_recording_without_index_is_refused_by_name(tmp_path):
         tmp_path,
         ("method: auto", "harmonics: 6"),
         ("prefilter:", '  faults: [{recordings: "*_prbs1", missing_index: true}]\nprefilter:'),
-        text=PREFILTER,
+        text=AUTO,
     )
     job = Job(load_experiment(path))
-    make_rig_recordings(job)
-    outcome, *_ = prefilter_recordings(job)
+    run_stage(job, RIG)
+    outcome, *_ = run_stage(job, PREFILTER)
     assert outcome.state == "failed"
     for words in ("its run-out is that of p5_n6000_still1", "but turned by", "missed its index", "align_index: true"):
         assert words in outcome.text

@@ -14,9 +14,10 @@ from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, loa
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
+from gbid.experiment.run.stage import run_stage
 from gbid.experiment.stages.impact.plan import controller_at
 from gbid.experiment.stages.tune.plan import design_structure
-from gbid.experiment.stages.tune.stage import PUBLISHED, run_tuning
+from gbid.experiment.stages.tune.stage import PUBLISHED, TUNE
 from gbid.share import share_folder
 
 MODEL = gbid.load_model("theisen2016")
@@ -183,7 +184,7 @@ def test_own_structure_scheduled_gains_and_whole_rectangle(tmp_path):
     )
     path = write_quick(tmp_path, text=text)
     (tmp_path / "own.py").write_text(OWN)
-    outcomes = run_tuning(Job(load_experiment(path)))
+    outcomes = run_stage(Job(load_experiment(path)), TUNE)
     assert [o.state for o in outcomes] == ["made"] * 6
     folder = tmp_path / "results" / "designs" / "controller"
     own = gbid.load_controller(folder / "own.yaml")

@@ -23,7 +23,8 @@ import gbid
 from gbid.cli.main import app
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
-from gbid.experiment.stages.rig.stage import make_rig_recordings
+from gbid.experiment.run.stage import run_stage
+from gbid.experiment.stages.rig.stage import RIG
 from gbid.structure import Structure
 
 DOCS = ROOT / "docs"
@@ -61,7 +62,7 @@ def test_readme_python_runs_on_what_make_run_leaves(
     experiment = tmp_path / "experiments" / "quickstart.yaml"
     experiment.parent.mkdir()
     experiment.write_text(shorter, encoding="utf-8")
-    make_rig_recordings(Job(load_experiment(experiment)))
+    run_stage(Job(load_experiment(experiment)), RIG)
 
     monkeypatch.chdir(tmp_path)
     names: dict[str, object] = {}

@@ -21,10 +21,11 @@ from gbid.control import HalfSine, close_loop, impact_response, p_controller, se
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
+from gbid.experiment.run.stage import run_stage
 from gbid.experiment.stages.crossval.pairing import validate_pair
-from gbid.experiment.stages.crossval.stage import run_crossval
-from gbid.experiment.stages.lpv.stage import draw_surfaces
-from gbid.experiment.stages.nominal.stage import choose_nominal
+from gbid.experiment.stages.crossval.stage import CROSSVAL
+from gbid.experiment.stages.lpv.stage import LPV
+from gbid.experiment.stages.nominal.stage import NOMINAL
 from gbid.report.html import write_report
 from gbid.report.html.explorer import explorer_model
 from gbid.report.html.fits_section import fit_data
@@ -72,9 +73,9 @@ def job(tmp_path_factory):
     (folder / "small.yaml").write_text(CAMPAIGN, encoding="utf-8")
     job = Job(load_experiment(folder / "small.yaml"))
     run_campaign(job)
-    run_crossval(job)
-    choose_nominal(job)
-    draw_surfaces(job)
+    run_stage(job, CROSSVAL)
+    run_stage(job, NOMINAL)
+    run_stage(job, LPV)
     write_report(job)
     return job
 

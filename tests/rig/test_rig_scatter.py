@@ -12,9 +12,10 @@ from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.problems import ExperimentError
 from gbid.experiment.run.job import Job
+from gbid.experiment.run.stage import run_stage
 from gbid.experiment.stages.fit.structures import make_structure
 from gbid.experiment.stages.fit.truth import true_values
-from gbid.experiment.stages.rig.stage import make_rig_recordings
+from gbid.experiment.stages.rig.stage import RIG
 from gbid.recording import find_problems, load_recording
 from gbid.rig import (
     Faults,
@@ -222,7 +223,7 @@ fits:
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole")
     experiment = load_experiment(write_quick(folder, text=WHOLE))
-    outcomes = make_rig_recordings(Job(experiment))
+    outcomes = run_stage(Job(experiment), RIG)
     assert {o.state for o in outcomes} == {"made"}
     return experiment
 

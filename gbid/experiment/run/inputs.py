@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from gbid.errors import DataError
+from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.keys import stored_key
+from gbid.experiment.run.outcome import Cause
 from gbid.recording import (
     Recording,
     load_recording,
@@ -43,3 +44,10 @@ def check_made(path: Path, key: str, command: str) -> None:
         raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
     if found != key:
         raise InputError(f"{path}: made from other settings or data; make it again with `{command} --overwrite`")
+
+
+def cause_of(error: GbidError) -> Cause:
+    """Whose fault an error is: an input that is not there, the options, or the data."""
+    if isinstance(error, InputError):
+        return "input"
+    return "usage" if isinstance(error, UsageError) else "data"

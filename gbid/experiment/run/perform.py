@@ -8,12 +8,12 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gbid.errors import DataError, GbidError, NoSpaceError, UsageError
+from gbid.errors import DataError, GbidError, NoSpaceError
 from gbid.experiment.keys import is_current, writing_keyed
 from gbid.experiment.run.failures import Failure, forget_failure, remember_failure, remembered_failure
-from gbid.experiment.run.inputs import InputError
+from gbid.experiment.run.inputs import cause_of
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Cause, Made, Outcome
+from gbid.experiment.run.outcome import Made, Outcome
 
 
 def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
@@ -176,10 +176,7 @@ def _outcome(task: Task, made: Made, state: str) -> Outcome:
 
 def _failure_of(task: Task, error: Exception) -> Failure:
     if isinstance(error, GbidError):
-        cause: Cause = (
-            "input" if isinstance(error, InputError) else "usage" if isinstance(error, UsageError) else "data"
-        )
-        return Failure(task.key, cause, str(error))
+        return Failure(task.key, cause_of(error), str(error))
     if isinstance(error, MemoryError):
         return Failure(task.key, "crash", "not enough memory")
     text = " ".join(f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it)".split())

@@ -16,13 +16,15 @@ from gbid.experiment.keys import content_key
 from gbid.experiment.recordings import refuse_bad_signals
 from gbid.experiment.run.inputs import check_made
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.outcome import Made
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.fit.checks import FIT_CHECKS
+from gbid.experiment.stages.fit.option_checks import OPTION_CHECKS
 from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.structures import make_structure, structure_settings
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
 from gbid.hdf5 import read_attribute, read_dataset, reading
-from gbid.identify import FitResult, fit, fit_multistart, load_fit, save_fit
+from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.store import KIND
 from gbid.recording import ProblemKind, Recording
 
@@ -32,21 +34,6 @@ _AS_THEY_ARE = (
     *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
     *("engine", "start", "fixed", "local", "offsets", "initial_state"),
 )
-
-
-def run_fits(job: Job, only: str | None = None) -> list[Outcome]:
-    """Write ``fits/<fit>/<recording>.h5``, or ``together.h5`` for a fit to all its recordings.
-
-    A fit that does not converge is written, and its outcome says so. A recording that cannot be fitted does not
-    stop the others.
-
-    Parameters
-    ----------
-    job : Job
-    only : str, optional
-        Name of the one fit to run.
-    """
-    return run_tasks(job, fit_tasks(job, only))
 
 
 def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
@@ -89,6 +76,19 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
     path = fit_path(job, name, model)
     check_made(path, fit_key(job.experiment, name, recordings), "gbid fit")
     return load_fit(path)
+
+
+def fit_entries(job: Job, name: str) -> list[TableEntry]:
+    """Rows of all models of a fit for `gbid.tabulate`, with the reason for those that are not there."""
+    entries = []
+    for model, recordings in fit_models(job.experiment, name).items():
+        conditions = job.experiment.recordings[recordings[0]].conditions
+        try:
+            result, failure = load_made_fit(job, name, model), ""
+        except (DataError, OSError) as error:
+            result, failure = None, str(error)
+        entries.append(TableEntry(name, model, tuple(recordings), conditions, result, failure))
+    return entries
 
 
 def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
@@ -170,3 +170,10 @@ def _smallest(percent: npt.NDArray[Any]) -> float:
 def model_key(experiment: Experiment, name: str, model: str) -> str:
     """Content key of a model of a fit."""
     return fit_key(experiment, name, fit_models(experiment, name)[model])
+
+
+FIT = Stage("fit", "fits", (*FIT_CHECKS, *OPTION_CHECKS), fit_tasks, early=True)
+"""``fits/<fit>/<recording>.h5``, or ``together.h5`` for a fit to all its recordings.
+
+A fit that does not converge is written, and its outcome says so.
+"""

@@ -18,7 +18,8 @@ from gbid.experiment.keys import content_key
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage, Work
+from gbid.experiment.stages.impact.checks import impacts_can_be_made
 from gbid.experiment.stages.impact.plan import (
     ImpactRecording,
     LoopController,
@@ -41,19 +42,13 @@ RECORDINGS = "impacts/recordings"
 _ZEROING_S = 0.5
 
 
-def run_impacts(job: Job) -> list[Outcome]:
-    """Write ``impacts/<point>_<loop>.h5``, the recordings they are made from, ``impacts.csv`` and ``responses.csv``.
-
-    Returns
-    -------
-    list of Outcome
-        Empty without a section ``impacts``. A further loop whose controller is not there failed; the others are run.
+def recording_tasks(job: Job) -> Work:
+    """List the recordings with impacts; a further loop whose controller is not there has failed.
 
     Raises
     ------
     UsageError
-        When the model or the controller of the closed loop is not there, or a result made from other settings may not
-        be replaced.
+        When the model or the controller of the closed loop is not there.
     """
     if job.experiment.spec.impacts is None:
         return []
@@ -61,17 +56,7 @@ def run_impacts(job: Job) -> list[Outcome]:
         Outcome("impact", loop, job.path(FOLDER, loop), "failed", why, cause="input")
         for loop, why in loops_without_controller(job.experiment).items()
     ]
-    for outcome in idle:
-        job.reporter.end(outcome)
-    outcomes = run_tasks(job, recording_tasks(job))
-    studies = run_tasks(job, study_tasks(job))
-    there = [o.item for o in studies if o.state != "failed"]
-    return [*idle, *outcomes, *studies, *(run_tasks(job, _csv_tasks(job, there)) if there else [])]
-
-
-def recording_tasks(job: Job) -> list[Task]:
-    """List the recordings with impacts, without those of loops whose controller is not there."""
-    return [
+    tasks = [
         Task(
             "impact",
             name,
@@ -82,6 +67,11 @@ def recording_tasks(job: Job) -> list[Task]:
         )
         for name, planned in _runnable(job.experiment).items()
     ]
+    return [*idle, *tasks]
+
+
+def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    return study_tasks(job) if made else []
 
 
 def study_tasks(job: Job) -> list[Task]:
@@ -218,7 +208,10 @@ def _read_made(path: Path) -> Made:
     return _made(load_impacts(path))
 
 
-def _csv_tasks(job: Job, names: list[str]) -> list[Task]:
+def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    names = [o.item for o in made if o.stage == "ringdown" and o.state != "failed"]
+    if not names:
+        return []
     key = _csv_key(job, names)
     return [
         Task("impact table", ",".join([word, *names]), job.path(FOLDER, word, ".csv"), key, _write_csv)
@@ -236,3 +229,7 @@ def _write_csv(job: Job, item: str, part: Path) -> None:
     studies = [load_impacts(job.path(FOLDER, name)) for name in names]
     rows = [row for study in studies for row in (mode_rows(study) if word == "impacts" else response_rows(study))]
     write_csv(table_of_records(rows), part, [f"content_key: {_csv_key(job, names)}"])
+
+
+IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_studies_of, _csv_tasks))
+"""``impacts/<point>_<loop>.h5``, the recordings they are made from, ``impacts.csv`` and ``responses.csv``."""

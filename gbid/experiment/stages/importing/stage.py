@@ -12,8 +12,8 @@ from gbid.experiment.keys import content_key, file_digest
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.recordings import recording_task, refuse_bad_signals, used_channels
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.importing.checks import data_can_be_read
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.recording import (
     Recording,
@@ -21,11 +21,6 @@ from gbid.recording import (
     import_recording,
     save_recording,
 )
-
-
-def import_recordings(job: Job) -> list[Outcome]:
-    """Read the recordings of the import section into ``recordings/<name>.h5``; none without that section."""
-    return run_tasks(job, import_tasks(job))
 
 
 def import_tasks(job: Job) -> list[Task]:
@@ -115,3 +110,7 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
 
 def _write_import(job: Job, name: str, part: Path) -> None:
     save_recording(read_import(job.experiment, job.experiment.recordings[name]), part, overwrite=True)
+
+
+IMPORT = Stage("import", "import", (data_can_be_read,), import_tasks, early=True)
+"""Recordings from files, as ``recordings/<name>.h5``."""

@@ -2,53 +2,62 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from functools import cached_property
+import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from gbid import hdf5
-from gbid.errors import DataError, GbidError, UsageError
-from gbid.experiment.keys import content_key, stored_key
-from gbid.experiment.run.job import Job
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.perform import produce
-from gbid.experiment.stages.fit.plan import fit_models
-from gbid.experiment.stages.fit.stage import fit_arguments, load_made_fit, model_key
-from gbid.experiment.stages.fit.structures import make_structure
-from gbid.experiment.stages.lpv.plan import lpv_actuators
-from gbid.experiment.stages.prefilter.stage import load_fit_input
-from gbid.identify import TableEntry, tabulate
-from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, load_lpv_fit
+from gbid.errors import GbidError
+from gbid.experiment.keys import stored_key
+from gbid.experiment.run.inputs import cause_of
+from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made, Outcome
+from gbid.experiment.run.stage import Stage, Work
+from gbid.experiment.stages.lpv.checks import surfaces_can_be_drawn
+from gbid.experiment.stages.lpv.surfaces import DIRECT, Surfaces
+from gbid.lpv import LPVFit, load_lpv_fit
 from gbid.lpv.load import write_model
-from gbid.lpv.model import ACTUATOR_PARAMETERS
 from gbid.lpv.surface_fit.lpv_fit_store import KIND, write_uncertainty
-from gbid.structure import Plant, RotorBearing
-from gbid.validate.store import load_actuators
 
 FOLDER = "lpv"
-DIRECT = "_direct"
+_UNCERTAINTY = " uncertainty"
+_MODEL = "model_file"  # attribute with the text of the model's YAML, so that the surfaces are made once for both files
 
 
-def draw_surfaces(job: Job) -> list[Outcome]:
-    """Write ``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` where the direct LPV fit is asked for.
-
-    Returns
-    -------
-    list of Outcome
-        Empty without a section ``lpv``. A model is an outcome of its own beside its uncertainty.
-    """
+def lpv_tasks(job: Job) -> Work:
+    """List the task of the lpv section; the model and the direct LPV fit follow."""
     section = job.experiment.spec.lpv
     if section is None:
         return []
-    making = _Making(job)
-    outcomes = _stored(job, section.fit, making.key, lambda: making.two_step)
-    if section.direct and all(o.state != "failed" for o in outcomes):
-        outcomes += _stored(job, f"{section.fit}{DIRECT}", making.key, lambda: making.one_shot)
-    return outcomes
+    try:
+        return [_uncertainty_task(job, section.fit)]
+    except GbidError as error:
+        path = job.path(FOLDER, section.fit)
+        return [Outcome("lpv", f"{section.fit}{_UNCERTAINTY}", path, "failed", str(error), cause=cause_of(error))]
 
 
-def made_surfaces(outcomes: list[Outcome]) -> dict[str, LPVFit]:
+def _model_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """List the task of the model; a model is there only with its uncertainty."""
+    last = made[-1] if made else None
+    if last is None or last.state == "failed" or last.path.suffix != ".h5":
+        return []
+    item = last.item.removesuffix(_UNCERTAINTY)
+    path = job.path(FOLDER, item, ".yaml")
+    return [Task("lpv", item, path, stored_key(last.path), _write_model, read=_read_status)]
+
+
+def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    section = job.experiment.spec.lpv
+    if section is None or not section.direct or any(outcome.state == "failed" for outcome in made):
+        return []
+    return [_uncertainty_task(job, f"{section.fit}{DIRECT}")]
+
+
+def _uncertainty_task(job: Job, item: str) -> Task:
+    return Task("lpv", f"{item}{_UNCERTAINTY}", job.path(FOLDER, item), Surfaces(job).key, _write_uncertainty)
+
+
+def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
     """Load the surfaces that are there, by item; the two-step ones first."""
     return {
         o.item: load_lpv_fit(o.path)
@@ -63,117 +72,41 @@ def read_surfaces(job: Job) -> dict[str, LPVFit]:
     if section is None:
         return {}
     try:
-        key = _Making(job).key
+        key = Surfaces(job).key
     except (GbidError, OSError):
         return {}
     paths = {item: job.path(FOLDER, item, ".yaml") for item in (section.fit, f"{section.fit}{DIRECT}")}
     return {item: load_lpv_fit(path) for item, path in paths.items() if stored_key(path) == key}
 
 
-class _Making:
-    """Fits of surfaces of one job, each made when it is first needed."""
-
-    def __init__(self, job: Job) -> None:
-        self._job = job
-        section = job.experiment.spec.lpv
-        if section is None:
-            raise UsageError("no section 'lpv'; add one")
-        self._section = section
-
-    @cached_property
-    def key(self) -> str:
-        """Content key: the section, the fits that are there, and the actuators."""
-        there = [entry.model for entry in self._entries if entry.result is not None]
-        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there]
-        settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
-        return content_key("lpv", settings, keys)
-
-    @cached_property
-    def _entries(self) -> list[TableEntry]:
-        """Fits, with the reason for those that are not there."""
-        section, experiment = self._section, self._job.experiment
-        entries = []
-        for model, recordings in fit_models(experiment, section.fit).items():
-            conditions = experiment.recordings[recordings[0]].conditions
-            try:
-                result, failure = load_made_fit(self._job, section.fit, model), ""
-            except DataError as error:
-                result, failure = None, str(error)
-            entries.append(TableEntry(section.fit, model, tuple(recordings), conditions, result, failure))
-        return entries
-
-    @cached_property
-    def two_step(self) -> LPVFit:
-        """Surfaces through the estimates of the fits."""
-        section, experiment = self._section, self._job.experiment
-        if all(entry.result is None for entry in self._entries):
-            raise DataError(f"no fit {section.fit!r} is there; run `gbid fit` or `gbid run` first")
-        return fit_lpv(
-            tabulate(self._entries),
-            weighting=section.weighting,
-            order=section.order,
-            robust=section.robust,
-            actuators=self._actuators,
-            pade_order=self._pade_order,
-            name=experiment.spec.name,
-            title=experiment.spec.title,
-            source=f"experiment {experiment.spec.name}, fit {section.fit}",
-        )
-
-    @cached_property
-    def one_shot(self) -> LPVFit:
-        """Surfaces straight from the recordings."""
-        experiment, name = self._job.experiment, self._section.fit
-        spec = experiment.spec.fits[name]
-        recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
-        hold = fit_arguments(experiment, name, recordings)["intersample"]
-        return fit_lpv_direct(
-            recordings,
-            self.two_step,
-            structure=make_structure(experiment, name),
-            focus=spec.focus,
-            intersample=hold,
-            fixed=spec.fixed,
-            engine=spec.engine,
-            name=f"{experiment.spec.name}{DIRECT}",
-            progress=self._job.reporter.iteration,
-        )
-
-    @cached_property
-    def _actuators(self) -> dict[str, float]:
-        known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
-        if known is not None or nominal is None:
-            return known or {}
-        values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
-        return {name: values[name] for name in ACTUATOR_PARAMETERS}
-
-    @property
-    def _pade_order(self) -> int:
-        structure = make_structure(self._job.experiment, self._section.fit)
-        bearing = structure.bearing if isinstance(structure, Plant) else structure
-        return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
+def _write_uncertainty(job: Job, item: str, part: Path) -> Made:
+    surfaces = Surfaces(job)
+    fit = surfaces.make(item.removesuffix(_UNCERTAINTY))
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "model.yaml"
+        write_model(fit.model, file, comment=f"content_key: {surfaces.key}")
+        text = file.read_text(encoding="utf-8")
+    with hdf5.writing(part, KIND, overwrite=True) as h5:
+        write_uncertainty(fit, h5, surfaces.key)
+        h5.attrs[_MODEL] = text
+    return Made(fit.status)
 
 
-def _stored(job: Job, item: str, key: str, make: Callable[[], LPVFit]) -> list[Outcome]:
-    """Write the uncertainty, then the model; a model is there only with its uncertainty."""
+def _write_model(job: Job, item: str, part: Path) -> Made:
+    path = job.path(FOLDER, item)
+    with hdf5.reading(path, KIND) as file:
+        part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
+    return _read_status(path)
 
-    def write_h5(part: Path) -> str:
-        fit = make()
-        with hdf5.writing(part, KIND, overwrite=True) as file:
-            write_uncertainty(fit, file, key)
-        return fit.status
 
-    def write_yaml(part: Path) -> str:
-        fit = make()
-        write_model(fit.model, part, comment=f"content_key: {key}")
-        return fit.status
+def _read_status(path: Path) -> Made:
+    with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
+        success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
+    return Made(str(status), bool(success))
 
-    first = produce(job, "lpv", f"{item} uncertainty", job.path(FOLDER, item), key, write_h5)
-    if first.state == "failed":
-        return [first]
-    model = produce(job, "lpv", item, job.path(FOLDER, item, ".yaml"), key, write_yaml)
-    if model.state == "failed":
-        return [first, model]
-    with hdf5.reading(first.path, KIND) as file:
-        converged, text = (hdf5.read_attribute(file, name) for name in ("success", "status"))
-    return [first, replace(model, converged=bool(converged), text=str(text))]
+
+LPV = Stage("lpv", "lpv", (surfaces_can_be_drawn,), lpv_tasks, (_model_tasks, _direct_tasks, _model_tasks))
+"""``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` where the direct LPV fit is asked for.
+
+A model is an outcome of its own beside its uncertainty.
+"""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -18,7 +18,8 @@ from gbid.experiment.recordings import load_made, recording_key, refuse_bad_sign
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
 from gbid.prefilter.store import add_report, read_report
@@ -30,16 +31,6 @@ INDEX_OFF = np.deg2rad(10.0)
 """Angle that a recording's run-out may be turned from the map's [rad] ..."""
 SURE = 5.0
 """... and standard deviations of it, before the index counts as missed."""
-
-
-def prefilter_recordings(job: Job) -> list[Outcome]:
-    """Write ``prefiltered/<name>.h5`` for each excited recording and ``prefilter/<point>.h5`` with the maps.
-
-    Nothing without a prefilter section. A recording that cannot be prefiltered does not stop the others.
-    """
-    outcomes = run_tasks(job, prefilter_tasks(job))
-    failed = {outcome.item for outcome in outcomes if outcome.state == "failed"}
-    return [*outcomes, *run_tasks(job, map_tasks(job, failed))]
 
 
 def prefilter_tasks(job: Job) -> list[Task]:
@@ -54,15 +45,9 @@ def prefilter_tasks(job: Job) -> list[Task]:
     return tasks
 
 
-def map_tasks(job: Job, without: Collection[str] = ()) -> list[Task]:
-    """List the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks.
-
-    Parameters
-    ----------
-    job : Job
-    without : collection of str
-        Recordings that could not be prefiltered.
-    """
+def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    """List the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
+    without = {outcome.item for outcome in made if outcome.state == "failed"}
     section = job.experiment.spec.prefilter
     if section is None:
         return []
@@ -197,3 +182,7 @@ def _stationary_keys(experiment: Experiment, point: str) -> list[Any]:
     if section is None or section.method == "none":
         return []
     return [recording_key(experiment, q) for q in _stationary(experiment, point)]
+
+
+PREFILTER = Stage("prefilter", "prefilter", (runout_maps_can_be_made,), prefilter_tasks, (map_tasks,), early=True)
+"""``prefiltered/<name>.h5`` for each excited recording, and ``prefilter/<point>.h5`` with the maps."""

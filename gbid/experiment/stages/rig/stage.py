@@ -6,19 +6,14 @@ from pathlib import Path
 
 from gbid.experiment.recordings import recording_task
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.rig.checks import RIG_CHECKS
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import machine_at, record_options, rig_experiment
 from gbid.recording import (
     save_recording,
 )
 from gbid.rig import record
-
-
-def make_rig_recordings(job: Job) -> list[Outcome]:
-    """Make the recordings of the rig section, ``recordings/<name>.h5``; none without that section."""
-    return run_tasks(job, rig_tasks(job))
 
 
 def rig_tasks(job: Job) -> list[Task]:
@@ -35,3 +30,7 @@ def _write_rig_recording(job: Job, name: str, part: Path) -> None:
     machine = machine_at(experiment, planned, rig_model(experiment))
     made = record(machine, rig_experiment(experiment, planned), **record_options(experiment, planned))
     save_recording(made, part, overwrite=True)
+
+
+RIG = Stage("rig", "rig", RIG_CHECKS, rig_tasks, early=True)
+"""Recordings of the virtual rig, ``recordings/<name>.h5``."""

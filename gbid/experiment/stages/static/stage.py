@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -19,20 +20,14 @@ from gbid.experiment.keys import content_key
 from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.static.checks import static_makes_sense
 from gbid.experiment.stages.static.schema import wanted_signals
 from gbid.tables.csv import write_csv
 from gbid.tables.table import table_of_records
 
 FOLDER = "static"
 _OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel", "settle_s", "limits")
-
-
-def run_static(job: Job) -> list[Outcome]:
-    """Write ``static/<name>.h5`` for each static characterisation, and ``static/<name>.csv`` with its plateaus."""
-    outcomes = run_tasks(job, static_tasks(job))
-    there = [outcome.item for outcome in outcomes if outcome.state != "failed"]
-    return [*outcomes, *run_tasks(job, _csv_tasks(job, there))]
 
 
 def static_tasks(job: Job) -> list[Task]:
@@ -66,7 +61,8 @@ def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
     return load_static(path, StaticMap)
 
 
-def _csv_tasks(job: Job, names: list[str]) -> list[Task]:
+def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    names = [outcome.item for outcome in made if outcome.state != "failed"]
     return [
         Task(
             "static",
@@ -101,3 +97,7 @@ def _write_csv(job: Job, item: str, part: Path) -> None:
     name = item.removesuffix(" (csv)")
     key = content_key("static csv", {}, [static_key(job.experiment, name)])
     write_csv(table_of_records(static_rows(load_made_static(job, name))), part, [f"content_key: {key}"])
+
+
+STATIC = Stage("static", "static", (static_makes_sense,), static_tasks, (_csv_tasks,))
+"""``static/<name>.h5`` for each static characterisation, and ``static/<name>.csv`` with its plateaus."""

@@ -24,10 +24,11 @@ from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.inputs import InputError
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
-from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.stage import Stage, Work
 from gbid.experiment.stages.impact.plan import TUNED
 from gbid.experiment.stages.lpv.stage import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv.stage import read_surfaces
+from gbid.experiment.stages.tune.checks import designs_can_be_tuned
 from gbid.experiment.stages.tune.plan import (
     assess_options,
     controller_section,
@@ -49,36 +50,25 @@ PUBLISHED = "published"
 """Name of the controller that came with the machine, beside the designs."""
 
 
-def run_tuning(job: Job) -> list[Outcome]:
-    """Write ``controller/<design>.h5`` and ``controller/<design>.yaml``.
-
-    Returns
-    -------
-    list of Outcome
-        Empty without a section ``controller``. A design that keeps not all limits is not converged; it is written.
-
-    Raises
-    ------
-    UsageError
-        When a result made from other settings may not be replaced.
-    """
-    keys: dict[str, str] = {}
-    failed: list[Outcome] = []
+def design_tasks(job: Job) -> Work:
+    """List the tasks of the controller section, one for each design; a design whose plant is not there has failed."""
+    work: list[Task | Outcome] = []
     surfaces = _surface_keys(job)
     for name, section in job.experiment.spec.controller.items():
+        path = job.path(TUNED, name)
         try:
-            keys[name] = _design_key(job, section, surfaces)
+            work.append(Task("tune", name, path, _design_key(job, section, surfaces), _tune, read=_read_made))
         except GbidError as error:
-            outcome = Outcome("tune", name, job.path(TUNED, name), "failed", str(error), cause="input")
-            job.reporter.end(outcome)
-            failed.append(outcome)
-    designs = run_tasks(job, [Task("tune", n, job.path(TUNED, n), k, _tune, read=_read_made) for n, k in keys.items()])
-    files = [
-        Task("controller", o.item, job.path(TUNED, o.item, ".yaml"), keys[o.item], _write_controller)
-        for o in designs
+            work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
+    return work
+
+
+def _file_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
+    return [
+        Task("controller", o.item, job.path(TUNED, o.item, ".yaml"), stored_key(o.path), _write_controller)
+        for o in made
         if o.state != "failed"
     ]
-    return [*failed, *designs, *run_tasks(job, files)]
 
 
 def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
@@ -258,3 +248,10 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
         text = file.read_text(encoding="utf-8")
     key = stored_key(job.path(TUNED, name))
     part.write_text(f"# content_key: {key}\n{text}", encoding="utf-8")
+
+
+TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (_file_tasks,))
+"""``controller/<design>.h5`` and ``controller/<design>.yaml``.
+
+A design that keeps not all limits is not converged; it is written.
+"""

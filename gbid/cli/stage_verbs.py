@@ -1,0 +1,122 @@
+"""Verbs that run the stages of one section and show what came of it: `gbid rig`, `gbid tune` and so on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from gbid.cli.groups import CONTROL, DATA, IDENTIFY
+from gbid.cli.guard import guarded
+from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
+
+
+@dataclass(frozen=True)
+class StageVerb:
+    """A verb that runs stages.
+
+    Attributes
+    ----------
+    name, group, help : str
+    stages : tuple of str
+        Names of the stages.
+    examples : tuple of str
+        Command lines.
+    hint : str
+        What else may be done when the YAML has none of their sections.
+    """
+
+    name: str
+    group: str
+    help: str
+    stages: tuple[str, ...]
+    examples: tuple[str, ...]
+    hint: str = ""
+
+
+_OR_RUN = ", or use `gbid run`"
+
+STAGE_VERBS = (
+    StageVerb(
+        "rig",
+        DATA,
+        "Make the recordings of the rig section.",
+        ("rig",),
+        ("gbid rig rig1/experiment.yaml --overwrite",),
+        _OR_RUN,
+    ),
+    StageVerb(
+        "import",
+        DATA,
+        "Read the recordings of the import section.",
+        ("import",),
+        ("gbid import rig2/experiment.yaml",),
+        _OR_RUN,
+    ),
+    StageVerb(
+        "static",
+        IDENTIFY,
+        "Characterise staircases: static gains of the bearing, hysteresis and creep of the piezos.",
+        ("static",),
+        ("gbid static rig1/experiment.yaml --json",),
+    ),
+    StageVerb(
+        "lpv",
+        IDENTIFY,
+        "Draw surfaces over pressure and speed through the fits; how far recordings lie off them.",
+        ("lpv",),
+        ("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
+    ),
+    StageVerb(
+        "crossval",
+        IDENTIFY,
+        "Validate the fitted models and choose the nominal actuator; exit code 5 when a minimum fit is missed.",
+        ("crossval", "nominal"),
+        ("gbid crossval rig1/experiment.yaml",),
+    ),
+    StageVerb(
+        "tune",
+        CONTROL,
+        "Tune controllers: the gains with the most damping within limits, beside the published ones.",
+        ("tune",),
+        ("gbid tune rig1/experiment.yaml", "gbid tune rig1/experiment.yaml --json > designs.json"),
+    ),
+    StageVerb(
+        "impact",
+        CONTROL,
+        "Hit the rig with a hammer, open and closed loop: modes obtained beside those expected, force scaling, fit.",
+        ("impact",),
+        ("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
+    ),
+)
+
+
+def command_of(verb: StageVerb) -> Callable[..., None]:
+    """Return the function of a verb, as typer takes it."""
+
+    def command(
+        experiment: ExperimentPath,
+        results: Results = None,
+        overwrite: Overwrite = False,
+        engine: Engine = "auto",
+        workers: Workers = None,
+        retry: Retry = False,
+        as_json: AsJson = False,
+        debug: Debug = False,
+    ) -> None:
+        with guarded(as_json, debug):
+            from gbid.cli.stages import run_stages
+
+            run_stages(
+                verb.stages,
+                experiment,
+                results,
+                as_json,
+                verb.hint,
+                overwrite=overwrite,
+                engine=engine,
+                workers=workers,
+                retry=retry,
+            )
+
+    command.__doc__ = verb.help
+    return command

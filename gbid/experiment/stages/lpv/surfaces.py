@@ -1,0 +1,109 @@
+"""Surfaces of an experiment as `gbid.fit_lpv` makes them from its fits."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from gbid.errors import UsageError
+from gbid.experiment.keys import content_key
+from gbid.experiment.run.inputs import InputError
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.fit.stage import fit_arguments, fit_entries, model_key
+from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.lpv.plan import lpv_actuators
+from gbid.experiment.stages.prefilter.stage import load_fit_input
+from gbid.identify import TableEntry, tabulate
+from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct
+from gbid.lpv.model import ACTUATOR_PARAMETERS
+from gbid.structure import Plant, RotorBearing
+from gbid.validate.store import load_actuators
+
+DIRECT = "_direct"
+"""What the name of the direct LPV fit adds to that of the fit."""
+
+
+class Surfaces:
+    """Surfaces of one job, each made when it is first needed.
+
+    Parameters
+    ----------
+    job : Job
+
+    Raises
+    ------
+    UsageError
+        When there is no section ``lpv``.
+    """
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        section = job.experiment.spec.lpv
+        if section is None:
+            raise UsageError("no section 'lpv'; add one")
+        self._section = section
+
+    @cached_property
+    def key(self) -> str:
+        """Content key: the section, the fits that are there, and the actuators."""
+        there = [entry.model for entry in self._entries if entry.result is not None]
+        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there]
+        settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
+        return content_key("lpv", settings, keys)
+
+    def make(self, item: str) -> LPVFit:
+        """Make the surfaces of one item: those of the fit, or of its direct LPV fit."""
+        return self._two_step if item == self._section.fit else self._direct()
+
+    @cached_property
+    def _entries(self) -> list[TableEntry]:
+        return fit_entries(self._job, self._section.fit)
+
+    @cached_property
+    def _two_step(self) -> LPVFit:
+        """Surfaces through the estimates of the fits."""
+        section, experiment = self._section, self._job.experiment
+        if all(entry.result is None for entry in self._entries):
+            raise InputError(f"no fit {section.fit!r} is there; run `gbid fit` or `gbid run` first")
+        return fit_lpv(
+            tabulate(self._entries),
+            weighting=section.weighting,
+            order=section.order,
+            robust=section.robust,
+            actuators=self._actuators,
+            pade_order=self._pade_order,
+            name=experiment.spec.name,
+            title=experiment.spec.title,
+            source=f"experiment {experiment.spec.name}, fit {section.fit}",
+        )
+
+    def _direct(self) -> LPVFit:
+        """Surfaces straight from the recordings."""
+        experiment, name = self._job.experiment, self._section.fit
+        spec = experiment.spec.fits[name]
+        recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
+        hold = fit_arguments(experiment, name, recordings)["intersample"]
+        return fit_lpv_direct(
+            recordings,
+            self._two_step,
+            structure=make_structure(experiment, name),
+            focus=spec.focus,
+            intersample=hold,
+            fixed=spec.fixed,
+            engine=spec.engine,
+            name=f"{experiment.spec.name}{DIRECT}",
+            progress=self._job.reporter.iteration,
+        )
+
+    @cached_property
+    def _actuators(self) -> dict[str, float]:
+        known, nominal = lpv_actuators(self._job.experiment, self._section), self._job.experiment.spec.nominal
+        if known is not None or nominal is None:
+            return known or {}
+        values = load_actuators(self._job.path("nominal", nominal.fit, ".yaml"))
+        return {name: values[name] for name in ACTUATOR_PARAMETERS}
+
+    @property
+    def _pade_order(self) -> int:
+        structure = make_structure(self._job.experiment, self._section.fit)
+        bearing = structure.bearing if isinstance(structure, Plant) else structure
+        return bearing.pade_order if isinstance(bearing, RotorBearing) else 1
