@@ -23,7 +23,7 @@ _N_FREQUENCIES = 400
 
 
 @dataclass(frozen=True)
-class Found:
+class Exports:
     """Models by the names that their files get, where the files go, and what could not be taken."""
 
     items: dict[str, Exportable]
@@ -31,7 +31,7 @@ class Found:
     left_out: tuple[str, ...] = ()
 
 
-def find_exportable(source: str, at: tuple[float, float] | None, results: Path | None) -> Found:
+def find_exportable(source: str, at: tuple[float, float] | None, results: Path | None) -> Exports:
     """Find the models behind an experiment, model file, model name or fit.
 
     Raises
@@ -44,12 +44,12 @@ def find_exportable(source: str, at: tuple[float, float] | None, results: Path |
     path = Path(source)
     if path.suffix in (".h5", ".hdf5"):
         _refuse_at(at, source)
-        return Found({_matlab_name(f"{path.parent.name}_{path.stem}"): load_fit(path)}, Path())
+        return Exports({_matlab_name(f"{path.parent.name}_{path.stem}"): load_fit(path)}, Path())
     if path.suffix in (".yaml", ".yml") and read_yaml(path).data.get("kind") != "lpv_model":
         _refuse_at(at, source)
         return _of_experiment(path, results)
     model = load_model(source)
-    return Found(_of_model(model, at), Path())
+    return Exports(_of_model(model, at), Path())
 
 
 def write_files(what: Exportable, name: str, to: str, folder: Path, overwrite: bool) -> list[Path]:
@@ -87,7 +87,7 @@ def _of_model(model: LPVModel, at: tuple[float, float] | None) -> dict[str, Expo
     return items
 
 
-def _of_experiment(path: Path, results: Path | None) -> Found:
+def _of_experiment(path: Path, results: Path | None) -> Exports:
     job = Job(load_experiment(path, results))
     items: dict[str, Exportable] = {}
     left_out = []
@@ -109,7 +109,7 @@ def _of_experiment(path: Path, results: Path | None) -> Found:
     if not items:
         reason = f": {left_out[0]}" if left_out else ""
         raise DataError(f"{path}: no models in {folder} yet{reason}; run `gbid run {path}` first")
-    return Found(items, folder / FOLDER, tuple(left_out))
+    return Exports(items, folder / FOLDER, tuple(left_out))
 
 
 def _refuse_at(at: tuple[float, float] | None, source: str) -> None:

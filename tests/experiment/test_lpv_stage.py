@@ -1,6 +1,7 @@
 """Surfaces in an experiment: section, stage, verb and files."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -112,3 +113,35 @@ def test_without_fits_or_section_it_says_so(campaign, tmp_path):
     nothing = call("lpv", bare)
     assert nothing.exit_code == 2
     assert "no section 'lpv'" in nothing.output
+
+
+def test_processes_give_the_same_files(campaign, tmp_path):
+    """Tables, nominal actuator and surfaces made by worker processes and in this process are equal."""
+    _, out = campaign
+    path = tmp_path / "experiment.yaml"
+    path.write_text(
+        CAMPAIGN.replace("theisen2016", "nominal") + "crossval: {piezos: {on: point}}\nnominal: {fit: piezos}\n"
+    )
+    made = {}
+    for engine in ("serial", "pool"):
+        results = tmp_path / engine
+        for folder in ("recordings", "prefiltered", "fits"):
+            shutil.copytree(out / folder, results / folder)
+        for verb in ("crossval", "lpv"):
+            done = call(verb, path, "--results", results, "--engine", engine)
+            assert done.exit_code == 0, done.output
+        names = ("crossval/piezos.csv", "crossval/piezos_summary.csv", "nominal/piezos.yaml")
+        names += ("lpv/bearing.yaml", "lpv/bearing_direct.yaml")
+        made[engine] = {name: (results / name).read_bytes() for name in names}
+    assert made["serial"] == made["pool"]
+
+
+def test_a_missing_fit_is_no_fault_of_the_surfaces(tmp_path):
+    """It is not remembered: the surfaces are drawn as soon as the fits are there."""
+    path = tmp_path / "experiment.yaml"
+    path.write_text(CAMPAIGN)
+    done = call("lpv", path, "--json")
+    assert done.exit_code == 3
+    (outcome,) = json.loads(done.stdout)["outcomes"]
+    assert (outcome["item"], outcome["cause"]) == ("bearing uncertainty", "input")
+    assert not (tmp_path / "results/small/failed").exists()

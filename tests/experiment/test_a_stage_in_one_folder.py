@@ -1,0 +1,83 @@
+"""A new stage is one folder (here tests/support/peak_stage), an entry in the registry and a field of the schema."""
+
+import json
+
+import pytest
+from experiment_files import gbid, write_spring
+from peak_stage.schema import FileWithPeaks
+from peak_stage.stage import PEAK
+
+from gbid.experiment import json_schema, load
+from gbid.experiment.load import load_experiment
+from gbid.experiment.problems import ExperimentError
+from gbid.experiment.stages import registry
+
+PEAKS = 'peaks: {recordings: "run*"}\n'
+
+
+@pytest.fixture(autouse=True)
+def registered(monkeypatch):
+    monkeypatch.setattr(load, "ExperimentFile", FileWithPeaks)
+    monkeypatch.setattr(json_schema, "ExperimentFile", FileWithPeaks)
+    monkeypatch.setattr(registry, "STAGES", (*registry.STAGES, PEAK))
+
+
+def write(folder, more=PEAKS):
+    path = write_spring(folder)
+    path.write_text(path.read_text() + more)
+    return path
+
+
+def peaks_of(path, capsys, *options, code=0):
+    capsys.readouterr()
+    assert gbid("run", path, "--json", *options) == code
+    out, err = capsys.readouterr()
+    document = json.loads(out)
+    return document["peaks"], [o for o in document["outcomes"] if o["stage"] == "peak"], err
+
+
+def test_the_schema_knows_its_section():
+    schema = json_schema.experiment_json_schema()
+    assert schema["properties"]["peaks"] == {"$ref": "#/$defs/PeaksSection"}
+    assert "limit" in schema["$defs"]["PeaksSection"]["properties"]
+
+
+def test_its_form_and_its_meaning_are_checked(tmp_path):
+    path = write(tmp_path, "peaks: {recordings: ran1, size: 3}\n")
+    with pytest.raises(ExperimentError) as error:
+        load_experiment(path)
+    lines = [line.split(": ", 1)[1] for line in str(error.value).splitlines()]
+    assert lines == [
+        "peaks.recordings: no recording matches 'ran1'; did you mean 'run1'? there is run1, run2",
+        "peaks.size: unknown key; there is recordings, signal, limit",
+    ]
+
+
+@pytest.mark.parametrize("engine", ["serial", "pool"])
+def test_run_makes_and_keeps_its_results(tmp_path, capsys, engine):
+    path = write(tmp_path)
+    shown, outcomes, err = peaks_of(path, capsys, "--engine", engine)
+    assert [(o["item"], o["state"]) for o in outcomes] == [("run1", "made"), ("run2", "made"), ("count", "made")]
+    assert [row["item"] for row in shown] == ["run1", "run2", "count"]
+    assert float(shown[0]["text"]) > 0
+    assert "peak run1: made" in err
+    assert (tmp_path / "results/spring/peaks/count.txt").read_text().endswith("\n2\n")
+    _, outcomes, _ = peaks_of(path, capsys)
+    assert {o["state"] for o in outcomes} == {"kept"}
+    assert gbid("run", path) == 0
+    assert "peak" in capsys.readouterr().out  # its table
+
+
+def test_its_failures_are_remembered(tmp_path, capsys):
+    path = write(tmp_path, PEAKS.replace("}", ", limit: 1.0e-12}"))
+    _, outcomes, err = peaks_of(path, capsys, code=3)
+    assert [(o["item"], o["cause"], o["failed_before"]) for o in outcomes] == [
+        ("run1", "data", False),
+        ("run2", "data", False),
+    ]
+    assert "gbid: error: peak run1: recording 'run1'" in err
+    _, outcomes, err = peaks_of(path, capsys, code=3)
+    assert all(o["failed_before"] for o in outcomes)
+    assert "failed before; --retry tries again" in err
+    _, outcomes, _ = peaks_of(path, capsys, "--retry", code=3)
+    assert not any(o["failed_before"] for o in outcomes)
