@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import brief
 from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
 from gbid.errors import DataError, UsageError
+from gbid.hdf5 import Stored
 from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
@@ -57,22 +59,22 @@ class PiezoCurve:
         Remarks about saturation and missing branches.
     """
 
-    command: FloatArray
-    position: FloatArray
-    position_std: FloatArray
-    time: FloatArray
-    direction: FloatArray
-    hysteresis: float
-    hysteresis_std: float
-    hysteresis_at: float
-    hysteresis_share: float
-    step: FloatArray
-    step_gain: FloatArray
-    creep: FloatArray
-    saturated: BoolArray
-    uniformity: float
-    response_time: FloatArray
-    responses: FloatArray
+    command: Annotated[FloatArray, Stored("in", "level of the command", "plateaus")]
+    position: Annotated[FloatArray, Stored("out", "stationary position", "plateaus")]
+    position_std: Annotated[FloatArray, Stored("out", "standard error of the stationary position", "plateaus")]
+    time: Annotated[FloatArray, Stored("s", "begin of the plateau", "plateaus")]
+    direction: Annotated[IntArray, Stored("1", "way of the last step", "plateaus")]
+    hysteresis: Annotated[float, Stored("out", "largest difference between up and down branch")]
+    hysteresis_std: Annotated[float, Stored("out", "standard error of the hysteresis")]
+    hysteresis_at: Annotated[float, Stored("in", "command at which it occurs")]
+    hysteresis_share: Annotated[float, Stored("1", "hysteresis over the range of positions")]
+    step: Annotated[FloatArray, Stored("in", "commanded steps", "steps")]
+    step_gain: Annotated[FloatArray, Stored("gain", "change of position over commanded step", "steps")]
+    creep: Annotated[FloatArray, Stored("1", "creep over the plateau relative to the step", "steps")]
+    saturated: Annotated[BoolArray, Stored("1", "steps at the end of the travel", "steps")]
+    uniformity: Annotated[float, Stored("1", "standard deviation over mean of the step gains")]
+    response_time: Annotated[FloatArray, Stored("s", "time since the step", "samples")]
+    responses: Annotated[FloatArray, Stored("out", "position since each step less that before it", "samples steps")]
     name: str
     channel: str
     units: tuple[str, str]

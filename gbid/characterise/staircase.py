@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ def characterise_staircase(
     _check_alike(group, (command, source, position))
     notes: list[str] = []
     rows = [_of_one(rec, number, command, source, position, keep) for number, rec in enumerate(group)]
-    table = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
+    table: dict[str, Any] = {name: np.concatenate([row[name] for row in rows]) for name in rows[0]}
 
     u, p, number = table["input_mean"], table["output_mean"], table["recording"].astype(int)
     moved = np.ptp(table["command"], axis=0) > _AT_REST * np.ptp(table["command"], axis=0).max()
@@ -86,7 +87,7 @@ def characterise_staircase(
     residual = p - basis @ solution
     gain = np.full((p.shape[1], u.shape[1]), np.nan)
     gain[:, moved] = solution[: moved.sum()].T
-    per_panel = _deviations(table, residual, u.shape[1], p.shape[1])
+    per_panel: dict[str, Any] = _deviations(table, residual, u.shape[1], p.shape[1])
     return StaticMap(
         gain=gain,
         covariance=_covariance(basis, residual, table["output_std"], moved, dof),

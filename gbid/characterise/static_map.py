@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 from scipy.special import stdtrit
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, IntArray
 from gbid.brief import brief
 from gbid.errors import UsageError
+from gbid.hdf5 import Stored
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,25 +68,25 @@ class StaticMap:
         Remarks for the reader of the result.
     """
 
-    gain: FloatArray
-    covariance: FloatArray
-    offset: FloatArray
+    gain: Annotated[FloatArray, Stored("gain", "static gains", "outputs inputs")]
+    covariance: Annotated[FloatArray, Stored("gain^2", "covariance of the gains, row by row", "gains gains")]
+    offset: Annotated[FloatArray, Stored("out", "equilibrium without input, for each recording", "recordings outputs")]
     dof: int
-    rms: FloatArray
-    largest: FloatArray
-    hysteresis: FloatArray
-    hysteresis_std: FloatArray
-    recording: FloatArray
-    axis: FloatArray
-    direction: FloatArray
-    command: FloatArray
-    input_mean: FloatArray
-    input_std: FloatArray
-    output_mean: FloatArray
-    output_std: FloatArray
-    residual: FloatArray
-    drift: FloatArray
-    time: FloatArray
+    rms: Annotated[FloatArray, Stored("out", "rms deviation from linear", "outputs inputs")]
+    largest: Annotated[FloatArray, Stored("out", "largest deviation from linear", "outputs inputs")]
+    hysteresis: Annotated[FloatArray, Stored("out", "largest difference between up and down branch", "outputs inputs")]
+    hysteresis_std: Annotated[FloatArray, Stored("out", "standard error of the hysteresis", "outputs inputs")]
+    recording: Annotated[IntArray, Stored("1", "number of the recording", "plateaus")]
+    axis: Annotated[IntArray, Stored("1", "input whose staircase it belongs to; -1 rest, -2 several", "plateaus")]
+    direction: Annotated[IntArray, Stored("1", "way of the last step", "plateaus")]
+    command: Annotated[FloatArray, Stored("in", "level of the command", "plateaus inputs")]
+    input_mean: Annotated[FloatArray, Stored("in", "steady input", "plateaus inputs")]
+    input_std: Annotated[FloatArray, Stored("in", "standard error of the steady input", "plateaus inputs")]
+    output_mean: Annotated[FloatArray, Stored("out", "steady output", "plateaus outputs")]
+    output_std: Annotated[FloatArray, Stored("out", "standard error of the steady output", "plateaus outputs")]
+    residual: Annotated[FloatArray, Stored("out", "deviation from linear", "plateaus outputs")]
+    drift: Annotated[FloatArray, Stored("out", "change over the steady part", "plateaus outputs")]
+    time: Annotated[FloatArray, Stored("s", "begin and end of the steady part", "plateaus 2")]
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     units: tuple[str, str]

@@ -4,15 +4,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.brief import brief, estimates
+from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify.options import FitOptions
 from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
+
+
+def _of_each(at: str, words: str) -> Stored:
+    """Numbers of all parameters, whose names stand beside them."""
+    return Stored("as attribute units", words, "n", f"parameters/{at}", "parameters@names")
+
+
+def _texts_of_each(at: str) -> Stored:
+    return Stored(shape="n", at=f"parameters@{at}", keys="parameters@names")
+
+
+def _of_free(at: str, words: str) -> Stored:
+    return Stored("as attribute units", f"{words}, of the free parameters", "free free", f"parameters/{at}")
 
 
 @dataclass(frozen=True)
@@ -106,34 +120,34 @@ class FitResult:
     """
 
     structure: str
-    recordings: tuple[str, ...]
-    parameters: Mapping[str, float]
-    std: Mapping[str, float]
-    units: Mapping[str, str]
-    free: tuple[str, ...]
-    covariance: FloatArray
-    covariance_white: FloatArray
-    covariance_robust: FloatArray
+    recordings: Annotated[tuple[str, ...], Stored(shape="recordings")]
+    parameters: Annotated[Mapping[str, float], _of_each("estimate", "estimates in the order of the attribute names")]
+    std: Annotated[Mapping[str, float], _of_each("std", "standard deviations; 0 fixed, nan none")]
+    units: Annotated[Mapping[str, str], _texts_of_each("units")]
+    free: Annotated[tuple[str, ...], Stored(shape="free", at="parameters@free")]
+    covariance: Annotated[FloatArray, NOT_STORED]
+    covariance_white: Annotated[FloatArray, _of_free("covariance_white", "covariance for white residuals")]
+    covariance_robust: Annotated[FloatArray, _of_free("covariance_robust", "covariance for any residuals")]
     trusted: Literal["white", "robust"]
-    whiteness: FloatArray
-    modes_std: FloatArray
-    static_gain_std: FloatArray
-    initial_states: FloatArray
-    loss: float
-    error_covariance: FloatArray
-    fit_percent: FloatArray
-    aic: float
-    fpe: float
-    condition: float
+    whiteness: Annotated[FloatArray, Stored("", "probability of less white residuals, per output", "outputs")]
+    modes_std: Annotated[FloatArray, Stored("Hz and 1", "standard deviations of frequency and damping", "modes 2")]
+    static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gain", "outputs inputs")]
+    initial_states: Annotated[FloatArray, Stored("", "initial state of each recording", "recordings states")]
+    loss: Annotated[float, Stored("", "criterion at the estimate")]
+    error_covariance: Annotated[FloatArray, Stored("", "mean square of the errors", "outputs outputs")]
+    fit_percent: Annotated[FloatArray, Stored("%", "fit, recordings by outputs", "recordings outputs")]
+    aic: Annotated[float, Stored("", "Akaike's information criterion")]
+    fpe: Annotated[float, Stored("", "final prediction error")]
+    condition: Annotated[float, Stored("", "condition of the scaled information")]
     status: FitStatus
     iterations: int
-    wall_time_s: float
-    start: Mapping[str, float]
-    start_origin: Mapping[str, str]
+    wall_time_s: Annotated[float, Stored("s", "time that the fit took")]
+    start: Annotated[Mapping[str, float], _of_each("start", "start values")]
+    start_origin: Annotated[Mapping[str, str], _texts_of_each("start_origin")]
     notes: tuple[str, ...]
     options: FitOptions
     model: LinearModel
-    sample_time: float
+    sample_time: Annotated[float, Stored("s", "time between samples")]
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     multi_start: StartsTried | None = None
 

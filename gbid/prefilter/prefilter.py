@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
+from gbid.hdf5 import NOT_STORED, Stored
 from gbid.prefilter.median import count_spikes, running_median
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
@@ -48,13 +50,13 @@ class PrefilterReport:
     """
 
     name: str
-    channels: Mapping[str, tuple[str, ...]]
-    rms_before: Mapping[str, FloatArray]
-    rms_after: Mapping[str, FloatArray]
-    offsets: Mapping[str, FloatArray]
-    runout_share: FloatArray
-    harmonics: FloatArray
-    spikes: tuple[int, ...]
+    channels: Annotated[Mapping[str, tuple[str, ...]], NOT_STORED]
+    rms_before: Annotated[Mapping[str, FloatArray], NOT_STORED]
+    rms_after: Annotated[Mapping[str, FloatArray], NOT_STORED]
+    offsets: Annotated[Mapping[str, FloatArray], NOT_STORED]
+    runout_share: Annotated[FloatArray, Stored("1", "part of the variance taken out by the run-out map", "channels")]
+    harmonics: Annotated[FloatArray, Stored("m", "amplitudes of the harmonics of the map", "orders channels")]
+    spikes: Annotated[tuple[int, ...], Stored("1", "samples moved far by the median")]
     median: int
     map_sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

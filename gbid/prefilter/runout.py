@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
+from gbid.hdf5 import Stored
 
 TURN = 2 * np.pi
 
@@ -49,18 +51,18 @@ class RunoutMap:
     """
 
     method: str
-    mean: FloatArray
-    orders: FloatArray
-    cosine: FloatArray
-    sine: FloatArray
-    angles: FloatArray
-    table: FloatArray
-    channels: tuple[str, ...]
+    mean: Annotated[FloatArray, Stored("m", "mean disc position", "channels")]
+    orders: Annotated[FloatArray, Stored("1", "harmonic order", "orders")]
+    cosine: Annotated[FloatArray, Stored("m", "cosine coefficients of the harmonics", "orders channels")]
+    sine: Annotated[FloatArray, Stored("m", "sine coefficients of the harmonics", "orders channels")]
+    angles: Annotated[FloatArray, Stored("rad", "shaft angle of the table", "angles")]
+    table: Annotated[FloatArray, Stored("m", "deviation from the mean over the shaft angle", "angles channels")]
+    channels: Annotated[tuple[str, ...], Stored(shape="channels")]
     conditions: Mapping[str, float]
     sources: tuple[str, ...]
     turns: float
-    rms_before: FloatArray
-    rms_after: FloatArray
+    rms_before: Annotated[FloatArray, Stored("m", "rms of the stationary recordings about their mean", "channels")]
+    rms_after: Annotated[FloatArray, Stored("m", "rms of what the map leaves of them", "channels")]
     notes: tuple[str, ...] = ()
 
     @property

@@ -13,7 +13,7 @@ from gbid.errors import DataError
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
 
-KIND = "recording"
+KIND = hdf5.Kind("recording", "record or import it again")
 
 CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
 """Units of the conditions that gbid knows; others have ``""``."""
@@ -74,17 +74,18 @@ def load_recording(path: str | Path) -> Recording:
     """
     with hdf5.reading(path, KIND) as file:
         signals, units, channels = {}, {}, {}
-        for name, item in _group(file, "signals").items():
+        for name, item in hdf5.read_group(file, "signals").items():
             if name == "time":
                 continue
             signals[name] = hdf5.read_dataset(file["signals"], name)
-            units[name] = str(hdf5.read_attribute(item, "units"))
-            channels[name] = tuple(str(c) for c in np.atleast_1d(hdf5.read_attribute(item, "channels")))
-        conditions = {key: _scalar(file["conditions"], key) for key in _group(file, "conditions")}
-        provenance = {key: str(value) for key, value in _group(file, "provenance").attrs.items()}
+            units[name] = hdf5.read_text(item, "units")
+            channels[name] = hdf5.read_texts(item, "channels")
+        conditions = {key: _scalar(file["conditions"], key) for key in hdf5.read_group(file, "conditions")}
+        source = hdf5.read_group(file, "provenance")
+        provenance = {key: hdf5.read_text(source, key) for key in source.attrs}
         sample_time = _scalar(file, "sample_time")
         time = hdf5.read_dataset(file["signals"], "time")
-        name = str(hdf5.read_attribute(file, "name"))
+        name = hdf5.read_text(file, "name")
     try:
         rec = Recording(signals, sample_time, conditions, name, units, channels, provenance)
     except DataError as error:
@@ -98,13 +99,13 @@ def _write_signals(group: h5py.Group, rec: Recording) -> None:
     first, *others = rec.signals
     group.attrs["NX_class"] = "NXdata"
     group.attrs["signal"] = first
-    group.attrs["auxiliary_signals"] = np.array(others, dtype=h5py.string_dtype())
-    group.attrs["axes"] = np.array(["time", "."], dtype=h5py.string_dtype())
+    hdf5.add_texts(group, "auxiliary_signals", others)
+    hdf5.add_texts(group, "axes", ["time", "."])
     hdf5.add_dataset(group, "time", rec.time, "s", "time from the first sample")
     for name, values in rec.signals.items():
         long_name = SIGNALS[name].long_name if name in SIGNALS else name
         dataset = hdf5.add_dataset(group, name, values, rec.units[name], long_name)
-        dataset.attrs["channels"] = np.array(rec.channels[name], dtype=h5py.string_dtype())
+        hdf5.add_texts(dataset, "channels", rec.channels[name])
 
 
 def _scalar(group: h5py.Group, name: str) -> float:
@@ -113,14 +114,6 @@ def _scalar(group: h5py.Group, name: str) -> float:
     if values.shape != ():
         raise DataError(f"{group.file.filename}: {name} has shape {values.shape}, expected one number")
     return float(values)
-
-
-def _group(file: h5py.File, name: str) -> h5py.Group:
-    """Find one of the groups that every recording has."""
-    group = file.get(name)
-    if not isinstance(group, h5py.Group):
-        raise DataError(f"{file.filename}: group /{name} is missing; the recording is incomplete")
-    return group
 
 
 def _check_time(path: str | Path, rec: Recording, time: FloatArray) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,7 @@ from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import brief
 from gbid.discretise import discretise, propagate
 from gbid.errors import UsageError
+from gbid.hdf5 import Stored
 from gbid.poles import oscillatory_modes
 from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
 from gbid.structure.sampled_run import check_sample_time, sampled_run
@@ -51,18 +52,18 @@ class LinearModel:
         When shapes do not fit together, when an entry is not finite, or when the sample time is not positive.
     """
 
-    A: FloatArray
-    B: FloatArray
-    C: FloatArray
-    D: FloatArray
-    K: FloatArray | None = None
+    A: Annotated[FloatArray, Stored("SI", "A of the model")]
+    B: Annotated[FloatArray, Stored("SI", "B of the model")]
+    C: Annotated[FloatArray, Stored("SI", "C of the model")]
+    D: Annotated[FloatArray, Stored("SI", "D of the model")]
+    K: Annotated[FloatArray | None, Stored("SI", "K of the model")] = None
     dt: float | None = None
     input_names: tuple[str, ...] = ()
     output_names: tuple[str, ...] = ()
     state_names: tuple[str, ...] = ()
     name: str = "model"
-    B_delayed: FloatArray | None = None
-    delay: FloatArray | None = None
+    B_delayed: Annotated[FloatArray | None, Stored("SI", "B_delayed of the model")] = None
+    delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
 
     def __post_init__(self) -> None:
         if self.dt is not None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
 from gbid.brief import brief
 from gbid.errors import DataError, UsageError
+from gbid.hdf5 import Stored
 from gbid.validate.validation_data import ValidationData
 
 
@@ -73,8 +75,8 @@ class WorstPair:
     model: str
     recording: str
     output: str
-    fit_percent: float
-    infinity_norm: float
+    fit_percent: Annotated[float, Stored("%", "fit percent")]
+    infinity_norm: Annotated[float, Stored("as the output's", "infinity norm")]
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,12 +95,14 @@ class PointSummary:
         Largest deviation over the pairs, in the units of the outputs.
     """
 
-    pressure_bar: float
-    speed_rpm: float
-    n_pairs: int
-    mean: FloatArray
-    std: FloatArray
-    infinity_norm: FloatArray
+    pressure_bar: Annotated[float, Stored("bar", "supply pressure")]
+    speed_rpm: Annotated[float, Stored("rpm", "shaft speed")]
+    n_pairs: Annotated[int, Stored("1", "pairs of the operating point")]
+    mean: Annotated[FloatArray, Stored("%", "mean of the fit percent, points by outputs", "q")]
+    std: Annotated[FloatArray, Stored("%", "standard deviation of the fit percent, points by outputs", "q")]
+    infinity_norm: Annotated[
+        FloatArray, Stored("as attribute output_units", "largest deviation, points by outputs", "q")
+    ]
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,18 +138,20 @@ class ValidationSummary:
     n_pairs: int
     n_models: int
     n_recordings: int
-    output_names: tuple[str, ...]
-    output_units: tuple[str, ...]
-    mean: FloatArray
-    std: FloatArray
-    median: FloatArray
-    least: FloatArray
-    greatest: FloatArray
-    edges: FloatArray
-    counts: IntArray
-    below: IntArray
-    infinity_norm_mean: FloatArray
-    infinity_norm_max: FloatArray
+    output_names: Annotated[tuple[str, ...], Stored(shape="q")]
+    output_units: Annotated[tuple[str, ...], Stored(shape="q")]
+    mean: Annotated[FloatArray, Stored("%", "mean of the fit percent, outputs", "q")]
+    std: Annotated[FloatArray, Stored("%", "standard deviation of the fit percent", "q")]
+    median: Annotated[FloatArray, Stored("%", "median of the fit percent", "q")]
+    least: Annotated[FloatArray, Stored("%", "smallest fit percent", "q")]
+    greatest: Annotated[FloatArray, Stored("%", "largest fit percent", "q")]
+    edges: Annotated[FloatArray, Stored("%", "edges of the histograms, outputs by bins + 1", "q edges")]
+    counts: Annotated[IntArray, Stored("1", "pairs in each bin, outputs by bins", "q bins")]
+    below: Annotated[IntArray, Stored("1", "pairs below the first edge", "q")]
+    infinity_norm_mean: Annotated[
+        FloatArray, Stored("as attribute output_units", "mean of the largest deviations", "q")
+    ]
+    infinity_norm_max: Annotated[FloatArray, Stored("as attribute output_units", "largest deviation of all pairs", "q")]
     worst: tuple[WorstPair, ...]
     points: tuple[PointSummary, ...]
     failed: tuple[str, ...] = ()

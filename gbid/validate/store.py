@@ -4,44 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Any
-
-import h5py
-import numpy as np
 
 from gbid import hdf5
 from gbid.atomic import atomic_path
 from gbid.errors import DataError
 from gbid.tables.table import Table, Value, plain_table
 from gbid.validate.central import ACTUATOR, NominalActuator
-from gbid.validate.scores import PointSummary, ValidationSummary, WorstPair
+from gbid.validate.scores import PointSummary, ValidationSummary
 from gbid.yaml_file import read_yaml, write_yaml
 
-KIND = "validation_summary"
+KIND = hdf5.Kind("validation_summary", "make it again with `gbid crossval`")
 ACTUATORS_KIND = "actuators"
-_TEXT = h5py.string_dtype()
-_COUNTS = ("n_pairs", "n_models", "n_recordings")
-_ARRAYS = {
-    "mean": ("%", "mean of the fit percent, outputs"),
-    "std": ("%", "standard deviation of the fit percent"),
-    "median": ("%", "median of the fit percent"),
-    "least": ("%", "smallest fit percent"),
-    "greatest": ("%", "largest fit percent"),
-    "edges": ("%", "edges of the histograms, outputs by bins + 1"),
-    "counts": ("1", "pairs in each bin, outputs by bins"),
-    "below": ("1", "pairs below the first edge"),
-    "infinity_norm_mean": ("as attribute output_units", "mean of the largest deviations"),
-    "infinity_norm_max": ("as attribute output_units", "largest deviation of all pairs"),
-}
-_POINT = {
-    "pressure_bar": ("bar", "supply pressure"),
-    "speed_rpm": ("rpm", "shaft speed"),
-    "n_pairs": ("1", "pairs of the operating point"),
-    "mean": ("%", "mean of the fit percent, points by outputs"),
-    "std": ("%", "standard deviation of the fit percent, points by outputs"),
-    "infinity_norm": ("as attribute output_units", "largest deviation, points by outputs"),
-}
-_WORST_TEXTS, _WORST_NUMBERS = ("model", "recording", "output"), ("fit_percent", "infinity_norm")
 
 
 def save_validation_summary(summary: ValidationSummary, path: str | Path, overwrite: bool = False) -> None:
@@ -61,22 +34,7 @@ def save_validation_summary(summary: ValidationSummary, path: str | Path, overwr
     DataError
         When it cannot be written.
     """
-    with hdf5.writing(path, KIND, overwrite) as file:
-        for name in _COUNTS:
-            file.attrs[name] = getattr(summary, name)
-        _write_texts(file, output_names=summary.output_names, output_units=summary.output_units, failed=summary.failed)
-        for name, (unit, long_name) in _ARRAYS.items():
-            hdf5.add_dataset(file, name, getattr(summary, name), unit, long_name)
-        points = file.create_group("points")
-        for name, (unit, long_name) in _POINT.items():
-            values = np.array([getattr(point, name) for point in summary.points])
-            hdf5.add_dataset(points, name, values, unit, long_name)
-        worst = file.create_group("worst")
-        _write_texts(worst, **{name: [getattr(pair, name) for pair in summary.worst] for name in _WORST_TEXTS})
-        for name in _WORST_NUMBERS:
-            unit = "%" if name == "fit_percent" else "as the output's"
-            values = np.array([getattr(pair, name) for pair in summary.worst], dtype=float)
-            hdf5.add_dataset(worst, name, values, unit, name.replace("_", " "))
+    hdf5.save(summary, path, KIND, overwrite)
 
 
 def load_validation_summary(path: str | Path) -> ValidationSummary:
@@ -91,23 +49,7 @@ def load_validation_summary(path: str | Path) -> ValidationSummary:
     DataError
         When the file is missing, damaged or of another kind.
     """
-    with hdf5.reading(path, KIND) as file:
-        arrays: dict[str, Any] = {name: hdf5.read_dataset(file, name) for name in _ARRAYS}
-        columns = {name: hdf5.read_dataset(file["points"], name) for name in _POINT}
-        points = [
-            PointSummary(float(p), float(w), int(n), *rest) for p, w, n, *rest in zip(*columns.values(), strict=True)
-        ]
-        texts = [_texts(file["worst"], name) for name in _WORST_TEXTS]
-        numbers = [hdf5.read_dataset(file["worst"], name).tolist() for name in _WORST_NUMBERS]
-        arrays |= {name: int(hdf5.read_attribute(file, name)) for name in _COUNTS}
-        return ValidationSummary(
-            output_names=_texts(file, "output_names"),
-            output_units=_texts(file, "output_units"),
-            **arrays,
-            worst=tuple(WorstPair(*row) for row in zip(*texts, *numbers, strict=True)),
-            points=tuple(points),
-            failed=_texts(file, "failed"),
-        )
+    return hdf5.load(path, KIND, ValidationSummary)
 
 
 def summary_csv_table(summary: ValidationSummary) -> Table:
@@ -192,12 +134,3 @@ def load_actuators(path: str | Path) -> dict[str, float]:
 
 def _known(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
-
-
-def _write_texts(item: h5py.Group, **texts: Any) -> None:
-    for name, values in texts.items():
-        item.attrs.create(name, list(values), shape=(len(values),), dtype=_TEXT)
-
-
-def _texts(item: h5py.HLObject, name: str) -> tuple[str, ...]:
-    return tuple(str(text) for text in np.atleast_1d(hdf5.read_attribute(item, name)))

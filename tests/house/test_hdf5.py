@@ -10,8 +10,10 @@ import pytest
 from gbid import hdf5
 from gbid.errors import DataError, UsageError
 
+THING = hdf5.Kind("thing", "make it again")
 
-def write(path, kind="thing", overwrite=False, value=1.0):
+
+def write(path, kind=THING, overwrite=False, value=1.0):
     with hdf5.writing(path, kind, overwrite) as file:
         hdf5.add_dataset(file, "x", value, "m", "length")
 
@@ -19,7 +21,7 @@ def write(path, kind="thing", overwrite=False, value=1.0):
 def test_what_is_written_can_be_read(tmp_path):
     path = tmp_path / "deep" / "er" / "a.h5"
     write(path)
-    with hdf5.reading(path, "thing") as file:
+    with hdf5.reading(path, THING) as file:
         assert hdf5.read_dataset(file, "x") == 1.0
         assert hdf5.read_attribute(file["x"], "units") == "m"
         assert hdf5.read_attribute(file["x"], "long_name") == "length"
@@ -37,7 +39,7 @@ def test_refuses_to_overwrite_unless_asked(tmp_path):
         write(path, value=2.0)
     assert path.read_bytes() == before
     write(path, overwrite=True, value=2.0)
-    with hdf5.reading(path, "thing") as file:
+    with hdf5.reading(path, THING) as file:
         assert file["x"][()] == 2.0
 
 
@@ -48,7 +50,7 @@ def test_a_failure_in_the_middle_leaves_what_was_there(tmp_path, error):
     before = old.read_bytes()
     expected = DataError if error is OSError else error
     for path in (new, old):
-        with pytest.raises(expected), hdf5.writing(path, "thing", overwrite=True) as file:  # noqa: PT012
+        with pytest.raises(expected), hdf5.writing(path, THING, overwrite=True) as file:  # noqa: PT012
             file["half"] = np.arange(1000.0)
             raise error
     assert sorted(p.name for p in tmp_path.iterdir()) == ["old.h5"]
@@ -96,7 +98,7 @@ def bad_files(folder):
 
 def test_bad_files_are_refused_in_one_line_with_the_name(tmp_path):
     for path, words in bad_files(tmp_path):
-        with pytest.raises(DataError) as caught, hdf5.reading(path, "thing"):
+        with pytest.raises(DataError) as caught, hdf5.reading(path, THING):
             pass
         text = str(caught.value)
         assert text.startswith(f"{path}: ")
@@ -106,7 +108,7 @@ def test_bad_files_are_refused_in_one_line_with_the_name(tmp_path):
 
 def test_missing_entries_are_named(tmp_path):
     path = tmp_path / "a.h5"
-    with hdf5.writing(path, "thing") as file:
+    with hdf5.writing(path, THING) as file:
         file.create_group("g")["text"] = "words"
         file["g"]["null"] = h5py.Empty("f8")
         file["x"] = 1.0
@@ -119,7 +121,7 @@ def test_missing_entries_are_named(tmp_path):
         (lambda f: hdf5.read_attribute(f["x"], "units"), "/x has no attribute 'units'"),
     ]
     for read, words in cases:
-        with pytest.raises(DataError) as caught, hdf5.reading(path, "thing") as file:
+        with pytest.raises(DataError) as caught, hdf5.reading(path, THING) as file:
             read(file)
         assert str(caught.value).startswith(f"{path}: ")
         assert words in str(caught.value)

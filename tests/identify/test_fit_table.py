@@ -151,6 +151,7 @@ def test_damaged_tables_are_refused(table, tmp_path):
         file["std"] = np.zeros((4, 2))
     with pytest.raises(DataError, match=r"/std has shape \(4, 2\), expected \(4, 20\)"):
         gbid.load_table(path)
+    save_table(table, path, overwrite=True)
     with h5py.File(path, "r+") as file:
         del file["status"]
     with pytest.raises(DataError, match="/status is missing"):

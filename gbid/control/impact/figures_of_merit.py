@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import quiet_basis
 from gbid.control.impact.validation import ImpactValidation
 from gbid.discretise import discretise, propagate
+from gbid.hdf5 import Stored
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 
@@ -35,15 +37,15 @@ class ImpactFigures:
         controller to sensor noise. It is nan without the signal `u`.
     """
 
-    peak_m: float
-    peak_std_m: float
-    peak_simulated_m: float
-    decay_s: float
-    decay_std_s: float
-    decay_simulated_s: float
-    piezo_m: float
-    piezo_std_m: float
-    piezo_simulated_m: float
+    peak_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, mean")]
+    peak_std_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, standard deviation")]
+    peak_simulated_m: Annotated[float, Stored("m", "largest distance of the disc from where it was, simulated")]
+    decay_s: Annotated[float, Stored("s", "time until the response is over, mean")]
+    decay_std_s: Annotated[float, Stored("s", "time until the response is over, standard deviation")]
+    decay_simulated_s: Annotated[float, Stored("s", "time until the response is over, simulated")]
+    piezo_m: Annotated[float, Stored("m", "largest motion of a stack, mean")]
+    piezo_std_m: Annotated[float, Stored("m", "largest motion of a stack, standard deviation")]
+    piezo_simulated_m: Annotated[float, Stored("m", "largest motion of a stack, simulated")]
 
 
 FIELDS = tuple(field.name for field in fields(ImpactFigures))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import atan2, degrees
+from typing import Annotated
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -12,6 +13,7 @@ from scipy.interpolate import CubicSpline
 from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import discretise
 from gbid.errors import DataError
+from gbid.hdf5 import Stored
 from gbid.recording import Recording
 
 _NOISES = 8.0  # smallest force of an impact in standard deviations of the noise
@@ -37,11 +39,11 @@ class MeasuredImpact:
         Number of hits; more than 1 is a double hit.
     """
 
-    start: int
-    stop: int
-    peak_n: float
-    direction_deg: float
-    pulses: int = 1
+    start: Annotated[int, Stored("1", "last sample without force before the impact")]
+    stop: Annotated[int, Stored("1", "first sample without force after it")]
+    peak_n: Annotated[float, Stored("N", "largest measured force")]
+    direction_deg: Annotated[float, Stored("deg", "from x to y, of the force at its largest")]
+    pulses: Annotated[int, Stored("1", "how often the hammer hit")] = 1
 
     @property
     def axis(self) -> str:

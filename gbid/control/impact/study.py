@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 from gbid.control.impact.figures_of_merit import ImpactFigures, impact_figures
 from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
@@ -11,6 +12,7 @@ from gbid.control.impact.ringdown.ringdown_result import RingDown
 from gbid.control.impact.ringing_modes import Modes, ringing_modes
 from gbid.control.impact.validation import ImpactValidation, validate_impact
 from gbid.control.loop.sampled import exact_plant
+from gbid.hdf5 import Stored
 from gbid.lpv import LPVModel
 from gbid.recording import Recording
 from gbid.structure import LinearModel, PiezoPair, evaluate
@@ -45,10 +47,10 @@ class ImpactStudy:
     loop: str
     model: str
     controller: str
-    expected: Modes
-    expected_running: Modes
+    expected: Annotated[Modes, Stored("Hz, 1", "modes of the model")]
+    expected_running: Annotated[Modes, Stored("Hz, 1", "modes of the loop as it runs")]
     ringdown: RingDown
-    validations: tuple[ImpactValidation, ...]
+    validations: Annotated[tuple[ImpactValidation, ...], Stored(at="responses")]
     figures: tuple[ImpactFigures, ...] = ()
 
 

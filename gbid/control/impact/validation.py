@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of,
 from gbid.control.impact.ringdown.basis import harmonics_for, quiet_basis
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.errors import DataError
+from gbid.hdf5 import Stored
 from gbid.recording import Recording
 from gbid.structure import LinearModel
 from gbid.validate import fit_percent
@@ -58,14 +60,14 @@ class ImpactValidation:
 
     force_scale: float
     force_scale_std: float
-    fit_percent: FloatArray
+    fit_percent: Annotated[FloatArray, Stored("%", "fit of simulated to measured response, x and y", "2")]
     along_percent: float
-    time: FloatArray
-    measured: FloatArray
-    stationary: FloatArray
-    simulated: FloatArray
-    force: FloatArray
-    windows: tuple[tuple[int, int], ...]
+    time: Annotated[FloatArray, Stored("s", "time", "samples")]
+    measured: Annotated[FloatArray, Stored("m", "position as measured, less its offset", "samples 2")]
+    stationary: Annotated[FloatArray, Stored("m", "part of it that turns with the shaft", "samples 2")]
+    simulated: Annotated[FloatArray, Stored("m", "simulated response, scaled", "samples 2")]
+    force: Annotated[FloatArray, Stored("N", "measured force", "samples 2")]
+    windows: Annotated[tuple[tuple[int, int], ...], Stored("1", "samples of each impact and the response to it")]
     impacts: tuple[MeasuredImpact, ...]
     harmonics: int
     recording: str

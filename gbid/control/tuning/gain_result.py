@@ -6,10 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
 from types import MappingProxyType
-from typing import Any
+from typing import Annotated, Any
 
 from gbid.brief import brief
 from gbid.control.tuning.search.step import SearchStep
+from gbid.hdf5 import NOT_STORED, Stored
+
+Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operating points of the design")]
 
 
 class GainStatus(StrEnum):
@@ -85,7 +88,7 @@ class GainResult:
         Structure of the gains.
     """
 
-    gains: Mapping[str, float]
+    gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
     value: float
     objective: str
     status: GainStatus
@@ -100,8 +103,8 @@ class GainResult:
     static_amplification: float | None = None
     sample_time: float | None = None
     history: tuple[SearchStep, ...] = field(default=(), repr=False)
-    points: tuple[tuple[float, float], ...] = field(default=(), repr=False)
-    controller: Any = field(default=None, repr=False)
+    points: Points = field(default=(), repr=False)
+    controller: Annotated[Any, NOT_STORED] = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import brief, counted
 from gbid.errors import UsageError
+from gbid.hdf5 import Stored
 
 TextArray = npt.NDArray[np.str_]
 
@@ -68,31 +69,36 @@ class FitTable:
         Time that the fit took [s].
     """
 
-    fit: TextArray
-    model: TextArray
-    structure: TextArray
-    recordings: tuple[tuple[str, ...], ...]
-    pressure_bar: FloatArray
-    speed_rpm: FloatArray
-    parameter_names: tuple[str, ...]
-    units: tuple[str, ...]
-    values: FloatArray
-    std: FloatArray
-    covariance: FloatArray
-    mode_frequency_hz: FloatArray
-    mode_frequency_std_hz: FloatArray
-    mode_damping: FloatArray
-    mode_damping_std: FloatArray
-    gain_names: tuple[str, ...]
-    static_gain: FloatArray
-    static_gain_std: FloatArray
-    output_names: tuple[str, ...]
-    fit_percent: FloatArray
-    success: BoolArray
-    status: TextArray
-    notes: tuple[tuple[str, ...], ...]
-    iterations: IntArray
-    wall_time_s: FloatArray
+    fit: Annotated[TextArray, Stored("", "name of the fit", "n")]
+    model: Annotated[TextArray, Stored("", "which model of the fit", "n")]
+    structure: Annotated[TextArray, Stored("", "name of the structure", "n")]
+    recordings: Annotated[tuple[tuple[str, ...], ...], Stored("", "recordings fitted to, one a line", "n")]
+    pressure_bar: Annotated[FloatArray, Stored("bar", "supply pressure", "n")]
+    speed_rpm: Annotated[FloatArray, Stored("rpm", "shaft speed", "n")]
+    parameter_names: Annotated[tuple[str, ...], Stored(shape="k")]
+    units: Annotated[tuple[str, ...], Stored(shape="k")]
+    values: Annotated[FloatArray, Stored("as attribute units of the root", "estimates, fits by parameters", "n k")]
+    std: Annotated[
+        FloatArray, Stored("as attribute units of the root", "standard deviations; 0 fixed, nan none", "n k")
+    ]
+    covariance: Annotated[
+        FloatArray,
+        Stored("as attribute units of the root", "covariance to trust, fits by parameters by parameters", "n k k"),
+    ]
+    mode_frequency_hz: Annotated[FloatArray, Stored("Hz", "natural frequencies", "n m")]
+    mode_frequency_std_hz: Annotated[FloatArray, Stored("Hz", "standard deviations of the natural frequencies", "n m")]
+    mode_damping: Annotated[FloatArray, Stored("1", "damping factors", "n m")]
+    mode_damping_std: Annotated[FloatArray, Stored("1", "standard deviations of the damping factors", "n m")]
+    gain_names: Annotated[tuple[str, ...], Stored(shape="g")]
+    static_gain: Annotated[FloatArray, Stored("", "static gains, fits by gains", "n g")]
+    static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gains", "n g")]
+    output_names: Annotated[tuple[str, ...], Stored(shape="q")]
+    fit_percent: Annotated[FloatArray, Stored("%", "fit, fits by outputs", "n q")]
+    success: Annotated[BoolArray, Stored("1", "whether the fit is there and converged", "n")]
+    status: Annotated[TextArray, Stored("", "status of the fit, or why it failed", "n")]
+    notes: Annotated[tuple[tuple[str, ...], ...], Stored("", "what a reader should know, one a line", "n")]
+    iterations: Annotated[IntArray, Stored("1", "iterations of the solver", "n")]
+    wall_time_s: Annotated[FloatArray, Stored("s", "time that the fit took", "n")]
 
     def __repr__(self) -> str:
         converged = [name for name, success in zip(self.fit.tolist(), self.success, strict=True) if success]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.errors import DataError, UsageError
+from gbid.hdf5 import Stored
 from gbid.identify.result import FitResult
 from gbid.identify.table.fit_table import FitTable
 from gbid.structure import KEY_PARAMETERS
@@ -33,9 +35,9 @@ class Estimates:
     """
 
     recordings: tuple[str, ...]
-    points: FloatArray
-    values: FloatArray
-    covariance: FloatArray
+    points: Annotated[FloatArray, Stored("bar and rpm", "operating points of the recordings", "n 2")]
+    values: Annotated[FloatArray, Stored("SI per kg", "estimates, recordings by parameters", "n k")]
+    covariance: Annotated[FloatArray, Stored("SI per kg", "their covariances", "n k k")]
     left_out: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
+from gbid.hdf5 import NOT_STORED, Stored
 from gbid.lpv.basis import TERMS, regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
 from gbid.lpv.model import LPVModel
@@ -20,6 +21,7 @@ from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.structure import KEY_PARAMETERS
 
+_LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
 _TRIES = 20  # largest number of draws for each requested model
 
 
@@ -55,13 +57,13 @@ class LPVFit:
         Remarks for the reader of the result.
     """
 
-    model: LPVModel
-    covariance: FloatArray
-    scatter: FloatArray
+    model: Annotated[LPVModel, NOT_STORED]
+    covariance: Annotated[FloatArray, Stored("SI per kg, bar, rpm", "covariance of the coefficients", "c c")]
+    scatter: Annotated[FloatArray, Stored("SI per kg", "covariance of recordings about the surfaces", "k k")]
     estimates: Estimates
     outliers: tuple[Outlier, ...] = ()
     orders: tuple[OrderScore, ...] = ()
-    lack_of_fit: FloatArray = field(default_factory=lambda: np.full(len(KEY_PARAMETERS), np.nan))
+    lack_of_fit: Annotated[FloatArray, _LACK] = field(default_factory=lambda: np.full(len(KEY_PARAMETERS), np.nan))
     options: Mapping[str, str] = field(default_factory=dict)
     status: str = "converged"
     success: bool = True

@@ -9,18 +9,31 @@ import h5py
 import numpy as np
 
 from gbid import hdf5
-from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.lpv.basis import TERMS
 from gbid.lpv.load import load_model, save_model
-from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
-from gbid.lpv.surface_fit.order import OrderScore
-from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.structure import KEY_PARAMETERS
 
-KIND = "lpv_fit"
-_TEXT = h5py.string_dtype()
+
+def _from_schema_1(file: h5py.File) -> None:
+    """Estimates, orders and outliers become groups of their own."""
+    for name in ("points", "values", "values_covariance"):
+        file.move(name, f"estimates/{name.removeprefix('values_')}")
+    for name in ("recordings", "left_out"):
+        hdf5.add_texts(file["estimates"], name, hdf5.read_texts(file, name))
+    file.move("order", "orders/order")
+    for name in ("rms", "score"):
+        file.move(f"order_{name}", f"orders/{name}")
+    hdf5.add_texts(file["orders"], "why_not", hdf5.read_texts(file, "why_not"))
+    outliers = json.loads(hdf5.read_attribute(file, "outliers"))
+    for name in ("recording", "parameter"):
+        hdf5.add_texts(file.require_group("outliers"), name, [outlier[name] for outlier in outliers])
+    for name in ("deviation", "standardised"):
+        hdf5.add_dataset(file["outliers"], name, [outlier[name] for outlier in outliers], "", name)
+
+
+KIND = hdf5.Kind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
 
 
 def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: str = "") -> None:
@@ -54,46 +67,12 @@ def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: st
 
 def write_uncertainty(fit: LPVFit, file: h5py.File, key: str) -> None:
     """Write all of a fit but its model."""
-    file.attrs.update(
-        {
-            "key": key,
-            "model": fit.model.name,
-            "status": fit.status,
-            "success": fit.success,
-            "options": json.dumps(dict(fit.options)),
-            "outliers": json.dumps([vars(o) for o in fit.outliers]),
-        }
-    )
-    texts = {
-        "parameters": KEY_PARAMETERS,
-        "terms": TERMS,
-        "recordings": fit.estimates.recordings,
-        "left_out": fit.estimates.left_out,
-        "notes": fit.notes,
-        "why_not": tuple(score.why_not for score in fit.orders),
-    }
-    for name, values in texts.items():
-        file.attrs.create(name, list(values), shape=(len(values),), dtype=_TEXT)
-    mixed = "SI per kg, bar, rpm"
-    estimates = fit.estimates
-    for name, numbers, unit, long_name in (
-        ("coefficients", fit.coefficients, mixed, "coefficients, parameters by terms"),
-        ("covariance", fit.covariance, mixed, "covariance of the coefficients, parameter by parameter its terms"),
-        ("scatter", fit.scatter, "SI per kg", "covariance of recordings about the surfaces beside their own error"),
-        ("lack_of_fit", fit.lack_of_fit, "1", "probability that right surfaces miss the points' means as far"),
-        ("points", estimates.points, "bar and rpm", "operating points of the recordings"),
-        ("values", estimates.values, "SI per kg", "estimates, recordings by parameters"),
-        ("values_covariance", estimates.covariance, "SI per kg", "their covariances"),
-        ("order", [score.order for score in fit.orders], "1", "orders compared"),
-        ("order_score", [score.score for score in fit.orders], "1", "prediction of points left out, relative"),
-        (
-            "order_rms",
-            np.reshape([score.rms for score in fit.orders], (-1, len(KEY_PARAMETERS))),
-            "SI per kg",
-            "rms error of that prediction, orders by parameters",
-        ),
-    ):
-        hdf5.add_dataset(file, name, numbers, unit, long_name)
+    hdf5.write_fields(file, fit)
+    file.attrs.update({"key": key, "model": fit.model.name})
+    hdf5.add_texts(file, "parameters", KEY_PARAMETERS)
+    hdf5.add_texts(file, "terms", TERMS)
+    words = "coefficients, parameters by terms"
+    hdf5.add_dataset(file, "coefficients", fit.coefficients, "SI per kg, bar, rpm", words)
 
 
 def load_lpv_fit(path: str | Path) -> LPVFit:
@@ -121,50 +100,8 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
     model = load_model(path)
     beside = path.with_suffix(".h5")
     with hdf5.reading(beside, KIND) as file:
-        try:
-            fit = _read(file, LPVFit(model, *_matrices(file), _estimates(file)))
-        except DataError:
-            raise
-        except (TypeError, ValueError, UsageError) as error:
-            raise DataError(f"{beside}: damaged, its entries do not fit together ({error}); fit anew") from None
+        fit = hdf5.read_fields(file, LPVFit, model=model)
         stored = hdf5.read_dataset(file, "coefficients")
     if stored.shape != fit.coefficients.shape or not np.allclose(stored, fit.coefficients, rtol=1e-9, atol=0):
         raise DataError(f"{beside}: belongs to other coefficients than {path}; fit anew or keep the two together")
     return fit
-
-
-def _matrices(file: h5py.File) -> tuple[FloatArray, FloatArray]:
-    return hdf5.read_dataset(file, "covariance"), hdf5.read_dataset(file, "scatter")
-
-
-def _estimates(file: h5py.File) -> Estimates:
-    return Estimates(
-        _texts(file, "recordings"),
-        hdf5.read_dataset(file, "points"),
-        hdf5.read_dataset(file, "values"),
-        hdf5.read_dataset(file, "values_covariance"),
-        _texts(file, "left_out"),
-    )
-
-
-def _read(file: h5py.File, bare: LPVFit) -> LPVFit:
-    columns = (hdf5.read_dataset(file, name) for name in ("order", "order_rms", "order_score"))
-    rows = zip(*columns, _texts(file, "why_not"), strict=True)
-    attribute = hdf5.read_attribute
-    return LPVFit(
-        bare.model,
-        bare.covariance,
-        bare.scatter,
-        bare.estimates,
-        tuple(Outlier(**o) for o in json.loads(str(attribute(file, "outliers")))),
-        tuple(OrderScore(int(order), rms, float(score), why) for order, rms, score, why in rows),
-        hdf5.read_dataset(file, "lack_of_fit"),
-        json.loads(str(attribute(file, "options"))),
-        str(attribute(file, "status")),
-        bool(attribute(file, "success")),
-        _texts(file, "notes"),
-    )
-
-
-def _texts(file: h5py.File, name: str) -> tuple[str, ...]:
-    return tuple(str(text) for text in np.atleast_1d(hdf5.read_attribute(file, name)))

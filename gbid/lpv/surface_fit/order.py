@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.special import fdtrc
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
+from gbid.hdf5 import Stored
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
 
 
@@ -29,9 +31,9 @@ class OrderScore:
         Reason why the order is not possible; otherwise empty.
     """
 
-    order: int
-    rms: FloatArray
-    score: float
+    order: Annotated[int, Stored("1", "orders compared")]
+    rms: Annotated[FloatArray, Stored("SI per kg", "rms error of that prediction, orders by parameters", "k")]
+    score: Annotated[float, Stored("1", "prediction of points left out, relative")]
     why_not: str = ""
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, ndtri
 
 from gbid.arrays import FloatArray
+from gbid.hdf5 import Stored
 from gbid.lpv.surface_fit.mixed import generalised, with_scatter
 from gbid.structure import KEY_PARAMETERS
 
@@ -40,8 +41,8 @@ class Outlier:
 
     recording: str
     parameter: str
-    deviation: float
-    standardised: float
+    deviation: Annotated[float, Stored("SI per kg", "estimate minus surface")]
+    standardised: Annotated[float, Stored("1", "the same in robust standard deviations")]
 
 
 def standardised(residuals: FloatArray, V: FloatArray) -> FloatArray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from scipy.stats import norm
@@ -12,6 +13,7 @@ from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import Scale
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import UsageError
+from gbid.hdf5 import Stored
 from gbid.poles import oscillatory_modes
 
 
@@ -56,15 +58,15 @@ class RingDown:
         Remarks for the reader of the result.
     """
 
-    frequency_hz: FloatArray
-    damping: FloatArray
-    frequency_std: FloatArray
-    damping_std: FloatArray
-    covariance: FloatArray
-    stiffness: FloatArray
-    damping_matrix: FloatArray
-    lag_rates: FloatArray
-    residual_rms: FloatArray
+    frequency_hz: Annotated[FloatArray, Stored("Hz", "natural frequencies from the ring-down", "2")]
+    damping: Annotated[FloatArray, Stored("1", "damping factors from the ring-down", "2")]
+    frequency_std: Annotated[FloatArray, Stored("Hz", "standard deviations of the frequencies", "2")]
+    damping_std: Annotated[FloatArray, Stored("1", "standard deviations of the damping factors", "2")]
+    covariance: Annotated[FloatArray, Stored("", "covariance of frequency 1, damping 1, frequency 2, damping 2", "4 4")]
+    stiffness: Annotated[FloatArray, Stored("1/s^2", "K of the free response", "2 2")]
+    damping_matrix: Annotated[FloatArray, Stored("1/s", "D of the free response", "2 2")]
+    lag_rates: Annotated[FloatArray, Stored("1/s", "rates of the decays beside the modes", "lags")]
+    residual_rms: Annotated[FloatArray, Stored("m", "what the fit leaves of x and y", "2")]
     n_impacts: int
     recordings: tuple[str, ...]
     harmonics: int

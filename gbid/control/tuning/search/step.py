@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
+
+from gbid.hdf5 import Stored
 
 
 @dataclass(frozen=True)
@@ -23,6 +26,6 @@ class SearchStep:
     """
 
     stage: str
-    count: int
-    value: float
-    violation: float
+    count: Annotated[int, Stored("1", "designs evaluated so far")]
+    value: Annotated[float, Stored("", "best aim so far, damping factor or decay rate [1/s]")]
+    violation: Annotated[float, Stored("1", "by how much its worst limit is exceeded")]

@@ -17,7 +17,7 @@ from gbid.control import (
     save_controller,
     tune,
 )
-from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.control.assessment.tuned_design import CappedDesign, DesignFigures, TunedDesign, load_tuned, save_tuned
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
@@ -164,7 +164,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         model.name,
         result,
         performance,
-        () if front is None else tuple(zip(front.caps, front.designs, strict=True)),
+        () if front is None else tuple(map(CappedDesign, front.caps, front.designs)),
         impact(section),
         sample_time(experiment, section),
         section.method,

@@ -1,0 +1,36 @@
+"""HDF5 files of gbid: atomic writing, checked reading, dataclasses by their types."""
+
+from gbid.hdf5.entries import (
+    DamagedError,
+    add_dataset,
+    add_texts,
+    read_attribute,
+    read_dataset,
+    read_group,
+    read_text,
+    read_texts,
+)
+from gbid.hdf5.file import Kind, changing, reading, writing
+from gbid.hdf5.store import load, read_fields, save, write_fields
+from gbid.hdf5.stored import NOT_STORED, Stored
+
+__all__ = [
+    "NOT_STORED",
+    "DamagedError",
+    "Kind",
+    "Stored",
+    "add_dataset",
+    "add_texts",
+    "changing",
+    "load",
+    "read_attribute",
+    "read_dataset",
+    "read_fields",
+    "read_group",
+    "read_text",
+    "read_texts",
+    "reading",
+    "save",
+    "write_fields",
+    "writing",
+]
