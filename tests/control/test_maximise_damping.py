@@ -140,7 +140,7 @@ def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
         ((delayed_loop(1, 1), ["g"], 0, np.inf), "finite"),
         ((delayed_loop(1, 1), ["g"], [0, 0], 1), "bounds of shape"),
         ((delayed_loop(1, 1), ["g"], 0, 1, "speed"), "objective"),
-        ((["A"], ["g"], 0, 1), "no casadi.Function"),
+        ((["A"], ["g"], 0, 1), "not a casadi.Function"),
     ],
 )
 def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
