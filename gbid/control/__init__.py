@@ -3,10 +3,12 @@
 from gbid.control.assessment.assess import Assessment, assess
 from gbid.control.assessment.compare import Comparison, compare_designs
 from gbid.control.assessment.point_assessment import PointAssessment
+from gbid.control.controllers.built_in.biquad import BiquadStructure
+from gbid.control.controllers.built_in.p import PStructure
+from gbid.control.controllers.built_in.pd import PDStructure
 from gbid.control.controllers.controller_file import load_controller, save_controller
 from gbid.control.controllers.design import ControllerDesign
 from gbid.control.controllers.export_c import export_c
-from gbid.control.controllers.filters import BiquadStructure, PDStructure, PStructure
 from gbid.control.controllers.proportional import p_controller
 from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled
 from gbid.control.controllers.structures import controller_model, controller_structure

@@ -11,6 +11,7 @@ import numpy as np
 
 from gbid._version import __version__
 from gbid.atomic import atomic_path
+from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.controller_table import (
     LOOP,
     SCHEMA_VERSION,
@@ -20,9 +21,9 @@ from gbid.control.controllers.controller_table import (
     parse,
 )
 from gbid.control.controllers.design import ControllerDesign, Point
-from gbid.control.controllers.filters import INPUTS, OUTPUTS
+from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
 from gbid.control.controllers.scheduled import Scheduled, scheduled
-from gbid.control.controllers.structures import KINDS, controller_structure
+from gbid.control.controllers.structures import controller_structure
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
 from gbid.lpv import Domain
@@ -157,7 +158,7 @@ def _contents(
     design: ControllerDesign, structure: Structure | Scheduled, models: Mapping[Point | None, LinearModel]
 ) -> dict[str, Any]:
     base = structure.base if isinstance(structure, Scheduled) else structure
-    built_in = next((kind for kind, cls in KINDS.items() if type(base) is cls), None)
+    built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
     table: dict[str, Any] = {"kind": built_in or "own", "name": base.name}
     if built_in:
         fields = asdict(base)  # type: ignore[call-overload]

@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from gbid.control.controllers.filters import INPUTS, OUTPUTS
+from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
 from gbid.errors import UsageError
 from gbid.lpv.tables import FileTable, Number
 from gbid.yaml_file import YamlFile
@@ -29,7 +29,7 @@ class GainTable(FileTable):
 class StructureTable(FileTable):
     """Built-in structure with its options, or name of a user-defined structure."""
 
-    kind: Literal["P", "PD", "biquad", "own"]
+    kind: str
     name: str = ""
     options: dict[str, Any] = field(default_factory=dict)
 

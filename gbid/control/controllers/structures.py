@@ -4,25 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import isfinite
-from typing import Any, Literal
+from typing import Any
 
-from gbid.control.controllers.filters import INPUTS, OUTPUTS, BiquadStructure, PDStructure, PerAxis, PStructure
+from gbid.control.controllers.built_in import built_in_structures
+from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
 from gbid.errors import UsageError
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
 
-ControllerKind = Literal["P", "PD", "biquad"]
-KINDS: dict[str, type[PerAxis]] = {"P": PStructure, "PD": PDStructure, "biquad": BiquadStructure}
 
-
-def controller_structure(kind: ControllerKind | str | Structure, **options: Any) -> Structure:
+def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     """Return the structure of a controller from the disc position p to the piezo reference r.
 
     Parameters
     ----------
-    kind : {"P", "PD", "biquad"} or Structure
-        A built-in structure with one filter per axis, or your own: a `gbid.LinearStructure` with its gains as
-        parameters, two inputs and two outputs.
+    kind : str or Structure
+        A built-in structure with one filter per axis, ``"P"``, ``"PD"`` or ``"biquad"``, or your own: a
+        `gbid.LinearStructure` with its gains as parameters, two inputs and two outputs.
     **options
         Options of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner`` and bounds (see
         `gbid.control.PStructure`, `gbid.control.PDStructure`, `gbid.control.BiquadStructure`).
@@ -41,20 +39,22 @@ def controller_structure(kind: ControllerKind | str | Structure, **options: Any)
     -----
     The loop is closed as ``r = K p`` (Eq. 21): positive gains are positive feedback.
     """
+    built_in = built_in_structures()
+    choices = ", ".join(map(repr, built_in))
     if not isinstance(kind, str):
         if not isinstance(kind, Structure):
-            raise UsageError(f"controller = {kind!r}; choose 'P', 'PD', 'biquad' or give a structure")
+            raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
         if options:
             raise UsageError(f"controller {kind.name!r}: options {', '.join(options)} belong to built-in structures")
         return kind
-    if kind not in KINDS:
-        raise UsageError(f"controller = {kind!r}; choose {', '.join(map(repr, KINDS))} or give a structure")
+    if kind not in built_in:
+        raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
     fixed = ("name", "inputs", "outputs", "intersample")
-    known = [name for name in KINDS[kind].__dataclass_fields__ if name not in fixed]
+    known = [name for name in built_in[kind].__dataclass_fields__ if name not in fixed]
     unknown = [name for name in options if name not in known]
     if unknown:
         raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; there are {', '.join(known)}")
-    return KINDS[kind](**options)
+    return built_in[kind](**options)
 
 
 def controller_model(structure: Structure, gains: Mapping[str, float]) -> LinearModel:

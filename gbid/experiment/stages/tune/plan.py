@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from gbid.control import HalfSine, Scheduled, controller_structure, scheduled
-from gbid.control.controllers.structures import KINDS
+from gbid.control.controllers.built_in import built_in_structures
 from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import nearest
@@ -101,10 +101,10 @@ def design_structure(
     """
     given = {key: getattr(section, key) for key in ("lowpass_hz", "order", "tune_corner")}
     options = {key: value for key, value in given.items() if value is not None}
-    if section.structure in KINDS:
+    if section.structure in built_in_structures():
         base = controller_structure(section.structure, **options)
     elif ":" not in section.structure:
-        hint = nearest(section.structure, KINDS)
+        hint = nearest(section.structure, built_in_structures())
         raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
     else:
         base = controller_structure(load_structure(section.structure, experiment.folder), **options)

@@ -1,0 +1,97 @@
+"""Controllers with a filter and a low-pass per axis, from disc position p to reference r."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from gbid.control.controllers.lowpass import Lowpass
+from gbid.discretise import Hold
+from gbid.errors import UsageError
+from gbid.structure import Parameter
+from gbid.structure.parameter import Values
+
+AXES = ("x", "y")
+INPUTS = ("p_x", "p_y")
+OUTPUTS = ("r_x", "r_y")
+
+
+class AxisGain(NamedTuple):
+    """A gain that each axis has: name, start, bounds and unit."""
+
+    name: str
+    start: float
+    lower: float
+    upper: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class PerAxis:
+    """Base class of the built-in structures: one filter per axis in series with a low-pass.
+
+    A structure gives the gains of an axis (`_axis_gains`) and the filter that they make (`_filter`); the rest is here.
+
+    Parameters
+    ----------
+    lowpass_hz : float
+        Corner frequency of the low-pass ``(p_lp / (s + p_lp))^n`` of each axis [Hz].
+    order : int
+        Order n of the low-pass; 0 for none.
+    tune_corner : bool
+        Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz], common to both axes.
+    """
+
+    lowpass_hz: float = 1000.0
+    order: int = 1
+    tune_corner: bool = False
+    name: str = ""
+    inputs: tuple[str, ...] = INPUTS
+    outputs: tuple[str, ...] = OUTPUTS
+    intersample: Hold = "foh"
+
+    def __post_init__(self) -> None:
+        Lowpass(self.lowpass_hz, self.order).check(f"controller {self.name!r}")
+        if self.tune_corner and self.order == 0:
+            raise UsageError(f"controller {self.name!r}: tune_corner needs a low-pass; give an order of at least 1")
+        if self.tune_corner and not 0.05 <= self.lowpass_hz / 1e3 <= 2.5:
+            raise UsageError(
+                f"controller {self.name!r}: lowpass_hz = {self.lowpass_hz:g}; to be tuned it must start in 50 to 2500"
+            )
+
+    def _axis_gains(self) -> tuple[AxisGain, ...]:
+        """Return the gains of an axis."""
+        raise NotImplementedError
+
+    def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
+        """Return A, B, C, D of one axis for its gains and its low-pass."""
+        raise NotImplementedError
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Gains of x and y, by kind; the corner frequency is last when it is tuned."""
+        gains = [
+            Parameter(f"{gain.name}_{axis}", gain.start, gain.lower, gain.upper, unit=gain.unit)
+            for gain in self._axis_gains()
+            for axis in AXES
+        ]
+        if self.tune_corner:
+            gains.append(Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz"))
+        return tuple(gains)
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return A, B, C and D for gains by name."""
+        corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
+        lowpass = Lowpass(corner, self.order).matrices()
+        names = [gain.name for gain in self._axis_gains()]
+        axes = [self._filter({name: p[f"{name}_{axis}"] for name in names}, lowpass) for axis in AXES]
+        return {letter: ca.diagcat(*(axis[i] for axis in axes)) for i, letter in enumerate("ABCD")}
+
+    def _check_bounds(self, **bounds: float) -> None:
+        for name, value in bounds.items():
+            if not isfinite(value):
+                raise UsageError(f"controller {self.name!r}: {name} = {value}; give a finite number")

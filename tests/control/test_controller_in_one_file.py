@@ -1,0 +1,85 @@
+"""A new controller structure is one file in a room: Python, YAML, tuning and controller files find it there."""
+
+from pathlib import Path
+
+import pytest
+from experiment_files import QUICK
+
+import gbid
+from gbid.control.controllers import built_in
+from gbid.control.controllers.built_in import built_in_structures
+from gbid.errors import UsageError
+from gbid.experiment.load import load_experiment
+
+LEAD = '''
+"""Lead filter per axis: static gain, and a zero below the pole of the low-pass."""
+
+from dataclasses import dataclass
+
+from gbid.control.controllers.per_axis import AxisGain, PerAxis
+
+
+@dataclass(frozen=True)
+class LeadStructure(PerAxis):
+    """``K_i(s) = kappa_i (1 + T_i s) p_lp / (s + p_lp)``."""
+
+    longest_ms: float = 1.0
+    name: str = "lead"
+
+    def _axis_gains(self):
+        return (AxisGain("kappa", 0.0, 0.0, 3.0, "m/m"), AxisGain("zero", 0.0, 0.0, self.longest_ms, "ms"))
+
+    def _filter(self, gain, lowpass):
+        A, B, C, _ = lowpass
+        T = 1e-3 * gain["zero"]
+        return A, B, gain["kappa"] * (C + T * (C @ A)), gain["kappa"] * T * (C @ B)
+'''
+CONTROLLER = """\
+controller:
+  forward: {model: theisen2016, structure: lead, operating_points: [{pressure_bar: 6, speed_rpm: 0}]}
+"""
+
+
+@pytest.fixture
+def lead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "lead.py").write_text(LEAD, encoding="utf-8")
+    monkeypatch.setattr(built_in, "__path__", [*built_in.__path__, str(tmp_path)])
+    built_in_structures.cache_clear()
+    yield
+    built_in_structures.cache_clear()
+
+
+def test_it_is_found_by_its_name(lead) -> None:
+    assert list(built_in_structures()) == ["P", "PD", "biquad", "lead"]
+    names = [gain.name for gain in gbid.controller_structure("lead").parameters]
+    assert names == ["kappa_x", "kappa_y", "zero_x", "zero_y"]
+    with pytest.raises(UsageError, match=r"unknown option speed; there are .*longest_ms"):
+        gbid.controller_structure("lead", speed=1.0)
+
+
+def test_it_is_tuned_and_stored(lead, tmp_path: Path) -> None:
+    model = gbid.load_model("theisen2016")
+    result = gbid.tune(model, controller="lead", operating_points=[(6, 0)], peak_sensitivity=2.6, starts=4)
+    feedback = gbid.tune(model, controller="P", operating_points=[(6, 0)], peak_sensitivity=2.6)
+    assert result.value > feedback.value + 0.001  # P is the lead whose zero is at 0 ms
+    path = tmp_path / "lead.yaml"
+    gbid.save_controller(path, result.controller, result.gains, sample_time=2e-4)
+    design = gbid.load_controller(path)
+    assert design.structure.name == "lead"
+    assert design.gains == pytest.approx(dict(result.gains))
+    loop = gbid.close_loop(model.plant_at(6, 0), design.at())
+    assert min(damping for _, damping in loop.modes()) == pytest.approx(result.value, abs=1e-6)
+
+
+def test_the_yaml_knows_it(lead, tmp_path: Path) -> None:
+    path = tmp_path / "one.yaml"
+    path.write_text(QUICK + CONTROLLER, encoding="utf-8")
+    assert load_experiment(path).spec.controller["forward"].structure == "lead"
+    path.write_text(QUICK + CONTROLLER.replace("structure: lead", "structure: leaf"), encoding="utf-8")
+    with pytest.raises(UsageError, match="did you mean 'lead'"):
+        load_experiment(path)
+
+
+def test_without_the_file_it_is_unknown() -> None:
+    with pytest.raises(UsageError, match="controller = 'lead'; choose 'P', 'PD', 'biquad' or give a structure"):
+        gbid.controller_structure("lead")
