@@ -22,7 +22,7 @@ def figures(
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
-        from gbid.report.paper.stage import FOLDER, write_paper
+        from gbid.report.paper.paper_files import FOLDER, write_paper
 
         loaded = load_experiment(experiment, results)
         with reporting() as reporter:

@@ -31,8 +31,8 @@ def reproduce(
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.job import Job
-        from gbid.report.paper.stage import write_reproduction
-        from gbid.report.paper.table import reproduction_tables
+        from gbid.report.paper.paper_files import write_reproduction
+        from gbid.report.paper.reproduction_tables import reproduction_tables
 
         loaded = load_experiment(experiment, results)
         with reporting() as reporter:

@@ -34,8 +34,8 @@ def run(
         from gbid.experiment.run.stage import run_stage
         from gbid.experiment.stages import registry
         from gbid.experiment.stages.fit.stage import FIT
+        from gbid.report.figures.pair_figures import draw_figures
         from gbid.report.html import write_report
-        from gbid.report.stage import draw_figures
         from gbid.report.tables.campaign_tables import campaign_tables
 
         loaded = load_experiment(experiment, results)

@@ -9,20 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gbid.report.across import (
-        ActuatorParameters,
-        Histogram,
-        histogram_data,
-        plot_actuator_parameters,
-        plot_fit_histogram,
-    )
-    from gbid.report.diagrams import (
+    from gbid.report.figures.diagrams import (
         plot_closed_loop,
         plot_differential_pairing,
         plot_identification_flow,
         plot_rotor_bearing_model,
     )
-    from gbid.report.eigenvalues import (
+    from gbid.report.figures.loop.damping_map import DampingMap, damping_map_data, plot_damping_map
+    from gbid.report.figures.loop.eigenvalues import (
         Eigenvalues,
         RootLocus,
         eigenvalues_data,
@@ -30,56 +24,46 @@ if TYPE_CHECKING:
         plot_root_locus,
         root_locus_data,
     )
-    from gbid.report.figures import plot_response, response_figure, save_figure
-    from gbid.report.frequency import MagnitudeCurves, bode_curves, plot_magnitudes, sensitivity_curves
-    from gbid.report.impact import ImpactCurves, plot_impact
-    from gbid.report.impact_loops import ImpactLoops, impact_loops_data, plot_impact_loops
-    from gbid.report.of_results import (
-        crossval_data,
-        fit_over_pressure_data,
-        fit_surfaces_data,
-        impact_data,
-        impact_validation_data,
-        nominal_data,
+    from gbid.report.figures.loop.impact_bands import ImpactLoops, impact_loops_data, plot_impact_loops
+    from gbid.report.figures.loop.impact_curves import ImpactCurves, impact_data, impact_validation_data, plot_impact
+    from gbid.report.figures.loop.magnitudes import MagnitudeCurves, bode_curves, plot_magnitudes, sensitivity_curves
+    from gbid.report.figures.loop.pareto_curves import ParetoCurves, designs_pareto_data, pareto_data, plot_pareto
+    from gbid.report.figures.measured.actuator_scatter import ActuatorParameters, nominal_data, plot_actuator_parameters
+    from gbid.report.figures.measured.fit_histogram import Histogram, crossval_data, plot_fit_histogram
+    from gbid.report.figures.measured.piezo_staircases import (
+        PiezoStaircase,
         piezo_data,
-        static_map_data,
+        piezo_staircase_data,
+        plot_piezo_hysteresis,
+        plot_piezo_staircase,
     )
-    from gbid.report.over_pressure import (
+    from gbid.report.figures.measured.residual_panels import plot_residuals, residuals_data, residuals_figure
+    from gbid.report.figures.measured.response import plot_response, response_figure
+    from gbid.report.figures.measured.staircase_map import StaticSweep, plot_static_map, static_map_data
+    from gbid.report.figures.save import save_figure
+    from gbid.report.figures.surfaces.over_pressure import (
         PressurePanel,
         delays_data,
+        fit_over_pressure_data,
         modes_data,
         plot_over_pressure,
         static_gains_data,
     )
-    from gbid.report.piezos import PiezoStaircase, piezo_staircase_data, plot_piezo_hysteresis, plot_piezo_staircase
-    from gbid.report.residuals import plot_residuals, residuals_data, residuals_figure
-    from gbid.report.static_map import StaticSweep, plot_static_map, static_sweep_data
-    from gbid.report.surfaces import Surface, plot_surfaces, surfaces_data
-    from gbid.report.tuning import (
-        DampingMap,
-        ParetoFront,
-        damping_map_data,
-        designs_pareto_data,
-        pareto_data,
-        plot_damping_map,
-        plot_pareto,
-    )
+    from gbid.report.figures.surfaces.surface_panels import Surface, fit_surfaces_data, plot_surfaces, surfaces_data
 
 _HOME = {
-    "across": (
-        "ActuatorParameters",
-        "Histogram",
-        "histogram_data",
-        "plot_actuator_parameters",
-        "plot_fit_histogram",
-    ),
     "diagrams": (
         "plot_closed_loop",
         "plot_differential_pairing",
         "plot_identification_flow",
         "plot_rotor_bearing_model",
     ),
-    "eigenvalues": (
+    "loop.damping_map": (
+        "DampingMap",
+        "damping_map_data",
+        "plot_damping_map",
+    ),
+    "loop.eigenvalues": (
         "Eigenvalues",
         "RootLocus",
         "eigenvalues_data",
@@ -87,36 +71,77 @@ _HOME = {
         "plot_root_locus",
         "root_locus_data",
     ),
-    "figures": ("plot_response", "response_figure", "save_figure"),
-    "frequency": ("MagnitudeCurves", "bode_curves", "plot_magnitudes", "sensitivity_curves"),
-    "impact": ("ImpactCurves", "plot_impact"),
-    "impact_loops": ("ImpactLoops", "impact_loops_data", "plot_impact_loops"),
-    "of_results": (
-        "crossval_data",
-        "fit_over_pressure_data",
-        "fit_surfaces_data",
+    "loop.impact_bands": (
+        "ImpactLoops",
+        "impact_loops_data",
+        "plot_impact_loops",
+    ),
+    "loop.impact_curves": (
+        "ImpactCurves",
         "impact_data",
         "impact_validation_data",
-        "nominal_data",
-        "piezo_data",
-        "static_map_data",
+        "plot_impact",
     ),
-    "over_pressure": ("PressurePanel", "delays_data", "modes_data", "plot_over_pressure", "static_gains_data"),
-    "piezos": ("PiezoStaircase", "piezo_staircase_data", "plot_piezo_hysteresis", "plot_piezo_staircase"),
-    "residuals": ("plot_residuals", "residuals_data", "residuals_figure"),
-    "static_map": ("StaticSweep", "plot_static_map", "static_sweep_data"),
-    "surfaces": ("Surface", "plot_surfaces", "surfaces_data"),
-    "tuning": (
-        "DampingMap",
-        "ParetoFront",
-        "damping_map_data",
+    "loop.magnitudes": (
+        "MagnitudeCurves",
+        "bode_curves",
+        "plot_magnitudes",
+        "sensitivity_curves",
+    ),
+    "loop.pareto_curves": (
+        "ParetoCurves",
         "designs_pareto_data",
         "pareto_data",
-        "plot_damping_map",
         "plot_pareto",
     ),
+    "measured.actuator_scatter": (
+        "ActuatorParameters",
+        "nominal_data",
+        "plot_actuator_parameters",
+    ),
+    "measured.fit_histogram": (
+        "Histogram",
+        "crossval_data",
+        "plot_fit_histogram",
+    ),
+    "measured.piezo_staircases": (
+        "PiezoStaircase",
+        "piezo_data",
+        "piezo_staircase_data",
+        "plot_piezo_hysteresis",
+        "plot_piezo_staircase",
+    ),
+    "measured.residual_panels": (
+        "plot_residuals",
+        "residuals_data",
+        "residuals_figure",
+    ),
+    "measured.response": (
+        "plot_response",
+        "response_figure",
+    ),
+    "measured.staircase_map": (
+        "StaticSweep",
+        "plot_static_map",
+        "static_map_data",
+    ),
+    "save": ("save_figure",),
+    "surfaces.over_pressure": (
+        "PressurePanel",
+        "delays_data",
+        "fit_over_pressure_data",
+        "modes_data",
+        "plot_over_pressure",
+        "static_gains_data",
+    ),
+    "surfaces.surface_panels": (
+        "Surface",
+        "fit_surfaces_data",
+        "plot_surfaces",
+        "surfaces_data",
+    ),
 }
-_MODULES = {name: f"gbid.report.{module}" for module, names in _HOME.items() for name in names}
+_MODULES = {name: f"gbid.report.figures.{module}" for module, names in _HOME.items() for name in names}
 
 __all__ = [
     "ActuatorParameters",
@@ -126,7 +151,7 @@ __all__ = [
     "ImpactCurves",
     "ImpactLoops",
     "MagnitudeCurves",
-    "ParetoFront",
+    "ParetoCurves",
     "PiezoStaircase",
     "PressurePanel",
     "RootLocus",
@@ -140,7 +165,6 @@ __all__ = [
     "eigenvalues_data",
     "fit_over_pressure_data",
     "fit_surfaces_data",
-    "histogram_data",
     "impact_data",
     "impact_loops_data",
     "impact_validation_data",
@@ -177,7 +201,6 @@ __all__ = [
     "sensitivity_curves",
     "static_gains_data",
     "static_map_data",
-    "static_sweep_data",
     "surfaces_data",
 ]
 

@@ -116,7 +116,7 @@ def test_no_global_state_and_no_pyplot(validation):
     before = dict(mpl.rcParams)
     response_figure(validation)
     assert dict(mpl.rcParams) == before
-    code = "import sys, gbid.report.figures; assert 'matplotlib.pyplot' not in sys.modules"
+    code = "import sys, gbid.report.figures.measured.response; assert 'matplotlib.pyplot' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 

@@ -22,10 +22,11 @@ from gbid.experiment.run.job import Job
 from gbid.lpv import CHARACTERISTICS, fit_lpv
 from gbid.lpv.characteristics import PUBLISHED_LARGEST_GAIN, PUBLISHED_RMS
 from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.report.paper import figures, stage, tables
+from gbid.report.figures.named import named_figures
+from gbid.report.paper import paper_files, paper_tables
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
 from gbid.report.paper.reproduction import _values, judged, reproduction
-from gbid.report.paper.table import reproduction_markdown
+from gbid.report.paper.reproduction_tables import reproduction_markdown
 from gbid.report.reader import Results
 from gbid.share import share_folder
 from gbid.structure import KEY_PARAMETERS
@@ -240,7 +241,8 @@ def small(tmp_path_factory):
 def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
     path, out = small
     wanted = ("fig03_differential_pairing", "fig09_crossval_bearing", "fig11_stiffness", "fig20_sensitivities")
-    monkeypatch.setattr(stage, "FIGURES", {name: figures.FIGURES[name] for name in wanted})
+    figures = named_figures()
+    monkeypatch.setattr(paper_files, "named_figures", lambda: {name: figures[name] for name in wanted})
     result = call("figures", path, "--results", out, "--json")
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
@@ -266,13 +268,13 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
 def test_tables_hold_what_the_model_file_says(small):
     path, out = small
     results = Results(Job(load_experiment(path, out)))
-    table = tables.actuator_table(results)
+    table = paper_tables.actuator_table(results)
     rows = [dict(zip((column.heading for column in table.columns), row, strict=True)) for row in table.rows]
     assert {row["parameter"]: row["published"] for row in rows} == dict(machine().actuators)
     assert {row["parameter"]: row["value"] for row in rows} == results.nominal.parameters
-    read = list(csv.DictReader(csv_text(tables.controller_table(results)).splitlines()))
+    read = list(csv.DictReader(csv_text(paper_tables.controller_table(results)).splitlines()))
     assert [float(row["gain [m/m]"]) for row in read] == [0.926, 0.927, 0.220, 0.640]
-    assert markdown_table(tables.machine_table(results)).count("\n| ") == 2 + len(machine().rig)
+    assert markdown_table(paper_tables.machine_table(results)).count("\n| ") == 2 + len(machine().rig)
 
 
 def test_rows_without_results_are_missing_with_the_reason(small):
@@ -281,8 +283,8 @@ def test_rows_without_results_are_missing_with_the_reason(small):
     assert rows["bearing_mean_x"].verdict != "missing"
     assert rows["rms_omega_1"].why == "no section 'lpv'; add one"
     assert "static" in rows["static_rms_xx"].why
-    text = reproduction_markdown(stage.reproduction_document(list(rows.values())))
-    assert text.count("\n| ") == 2 + len(rows)  # the title, and the ruler below the headings
+    text = reproduction_markdown(paper_files.reproduction_document(list(rows.values())))
+    assert text.count("\n| ") == 1 + len(rows)
     result = call("reproduce", path, "--results", out, "--json")
     document = json.loads(result.stdout)
     assert len(document["rows"]) == len(NUMBERS)

@@ -18,9 +18,9 @@ from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
 from gbid.report.html import write_report
-from gbid.report.html.tuned_blocks import held_back
-from gbid.report.paper.table import reproduction_markdown
-from gbid.report.paper.tables import TABLES
+from gbid.report.html.sections.tuned_blocks import held_back
+from gbid.report.paper.paper_tables import TABLES
+from gbid.report.paper.reproduction_tables import reproduction_markdown
 from gbid.report.reader import Results
 from gbid.report.reader.designs import comparable_designs
 from gbid.tables.table import value_of

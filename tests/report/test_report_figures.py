@@ -18,7 +18,7 @@ from matplotlib.text import Text
 from gbid import report
 from gbid.control import p_controller, sensitivity_data
 from gbid.errors import UsageError
-from gbid.report.canvas import SERIES
+from gbid.report.figures.canvas import SERIES
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")
@@ -170,18 +170,6 @@ def test_estimates_are_drawn_at_their_pressures(drawn):
     assert len(grid_points()) == sum(len(line.get_xdata()) for line in marks)
 
 
-def test_histogram_counts_all_and_knows_mean_and_deviation():
-    values = np.array([80.0, 82.0, 90.0, np.nan])
-    (one, two) = report.histogram_data({"a": values, "b": [70.0, 75.0]}, bins=4)
-    assert (one.n, two.n) == (3, 2)
-    assert one.mean == pytest.approx(84.0)
-    assert one.std == pytest.approx(np.sqrt((16 + 4 + 36) / 2))
-    np.testing.assert_array_equal(one.edges, [70, 75, 80, 85, 90])
-    np.testing.assert_array_equal(one.counts, [0, 0, 2, 1])
-    with pytest.raises(UsageError, match="at least one finite value"):
-        report.histogram_data({"a": [np.nan]})
-
-
 def test_magnitudes_are_drawn_by_their_definition():
     """In decibels, a panel for each pair: S_o = (I - G K)^-1 by hand, at 126.6 Hz."""
     plant, controller = loop()
@@ -236,14 +224,6 @@ def test_piezo_steps_and_plateaus():
         report.piezo_staircase_data("still", time, 0 * command, position)
     with pytest.raises(UsageError, match="give one each"):
         report.piezo_staircase_data("short", time, command[1:], position)
-
-
-def test_static_sweep_is_least_squares():
-    u = np.linspace(-1e-5, 1e-5, 9)
-    p = np.column_stack([0.25 * u + 1e-6, -0.02 * u])
-    sweep = report.static_sweep_data("x", u, p, u > 0)
-    np.testing.assert_allclose(sweep.gain, [0.25, -0.02], rtol=1e-9)
-    np.testing.assert_allclose(sweep.offset, [1e-6, 0.0], atol=1e-18)
 
 
 def test_impact_curves_must_fit_their_time():

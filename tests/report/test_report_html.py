@@ -28,8 +28,8 @@ from gbid.experiment.stages.lpv.stage import LPV
 from gbid.experiment.stages.nominal.stage import NOMINAL
 from gbid.report.html import write_report
 from gbid.report.html.explorer import explorer_model
-from gbid.report.html.fits_section import fit_data
-from gbid.report.html.summary_section import warnings
+from gbid.report.html.sections.fits_section import fit_data
+from gbid.report.html.sections.summary_section import warnings
 from gbid.report.html.traces import packed, trace
 from gbid.report.reader import Results
 

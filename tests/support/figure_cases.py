@@ -69,11 +69,11 @@ def static_gains():
 
 def histograms():
     random = np.random.default_rng(4)
-    return report.plot_fit_histogram(
-        report.histogram_data(
-            {"$p_x$": 81.1 + 2.66 * random.standard_normal(86), "$p_y$": 85.1 + 3.37 * random.standard_normal(86)}
-        )
-    )
+    shown = []
+    for label, mean, std in (("$p_x$", 81.1, 2.66), ("$p_y$", 85.1, 3.37)):
+        counts, edges = np.histogram(mean + std * random.standard_normal(86), 15)
+        shown.append(report.Histogram(label, edges, counts, mean, std))
+    return report.plot_fit_histogram(shown)
 
 
 def actuators():
@@ -95,7 +95,7 @@ def static_map():
     sweeps = []
     for j, axis in enumerate("xy"):
         p = u[:, None] * gain[:, j] + 1e-6 * np.array([3.0, -2.0]) + 1e-7 * random.standard_normal((len(u), 2))
-        sweeps.append(report.static_sweep_data(axis, u, p, rising))
+        sweeps.append(report.StaticSweep(axis, u, p, rising, gain[:, j], np.array([3e-6, -2e-6])))
     return report.plot_static_map(sweeps, title=POINT)
 
 

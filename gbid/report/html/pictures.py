@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 
-from gbid.report.figures import STYLE
+from gbid.report.figures.save import STYLE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,12 +10,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from gbid.control import GainResult, close_loop
+from gbid.control import GainResult, close_loop, sensitivities, tune
 from gbid.errors import DataError, GbidError
 from gbid.lpv import CHARACTERISTICS, characteristics
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
-from gbid.report.paper.published import POINT, published_controller, retuned
 from gbid.report.reader import Results
+from gbid.report.reader.published import POINT, published_controller
 from gbid.structure import KEY_PARAMETERS
 
 Verdict = Literal["within", "explained", "off", "missing"]
@@ -220,7 +220,10 @@ def _published_factor(i: int, results: Results) -> Own:
 
 
 def _retuned(results: Results) -> GainResult:
-    return retuned(results.machine)
+    """Tune the gains of the published model at the paper's point, under the peak of S_o that its own gains have."""
+    machine = results.machine
+    cap = sensitivities(machine.plant_at(*POINT), published_controller(machine)).peak("output").value
+    return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
 
 
 def _retuned_gain(tuned: Callable[[Results], GainResult], name: str, results: Results) -> Own:

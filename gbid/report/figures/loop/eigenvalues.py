@@ -1,0 +1,197 @@
+"""Where the poles are: eigenvalue map and root locus over the gain."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.report.figures.canvas import (
+    BLACK,
+    GREY,
+    legend_above,
+    panels,
+    series,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gbid.structure import LinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class Eigenvalues:
+    """Poles of models that are compared.
+
+    Attributes
+    ----------
+    poles : dict of str to (n,) complex array
+        By label [rad/s].
+    title : str
+    """
+
+    poles: Mapping[str, ComplexArray]
+    title: str = ""
+
+
+def eigenvalues_data(models: Mapping[str, LinearModel], title: str = "") -> Eigenvalues:
+    """Collect the poles of models.
+
+    Parameters
+    ----------
+    models : dict of str to LinearModel
+    title : str
+
+    Returns
+    -------
+    Eigenvalues
+    """
+    return Eigenvalues({label: model.poles() for label, model in models.items()}, title)
+
+
+@styled
+def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Figure:
+    """Draw poles in the upper half plane, with rays of equal damping.
+
+    Parameters
+    ----------
+    data : Eigenvalues
+    ax : matplotlib Axes, optional
+        A new figure when left out.
+    largest_hz : float
+        Poles further away from zero are not shown.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure, (panel, *_) = panels(ax, size=(4.6, 3.6))
+    for k, (label, poles) in enumerate(data.poles.items()):
+        near = _hertz(poles)
+        near = near[(np.abs(near) <= largest_hz) & (near.imag >= -1e-9)]
+        look = series(k, linestyle="none", markersize=5, markerfacecolor="none", markeredgewidth=1.1)
+        panel.plot(near.real, near.imag, label=label, **look)
+    _finish_plane(panel, largest_hz)
+    legend_above(figure, panel, columns=4, title=data.title)
+    return figure
+
+
+@dataclass(frozen=True, eq=False)
+class RootLocus:
+    """Poles of the loop over a factor on the controller.
+
+    Attributes
+    ----------
+    factor : (n,) array
+    poles : (n, n_poles) complex array
+        [rad/s]
+    label : str
+        What the factor is, for the colour bar.
+    title : str
+    """
+
+    factor: FloatArray
+    poles: ComplexArray
+    label: str = "factor on the gains [-]"
+    title: str = ""
+
+
+def root_locus_data(
+    plant: LinearModel,
+    controller: Callable[[float], LinearModel],
+    factor: npt.ArrayLike,
+    *,
+    label: str = "factor on the gains [-]",
+    title: str = "",
+) -> RootLocus:
+    """Compute the closed loop's poles for a row of controllers.
+
+    Parameters
+    ----------
+    plant : LinearModel
+    controller : callable
+        From the factor to the controller, as ``lambda f: p_controller(f * 1.125, f * 0.99)``.
+    factor : (n,) array
+    label, title : str
+
+    Returns
+    -------
+    RootLocus
+    """
+    from gbid.control import close_loop
+
+    factors = np.atleast_1d(np.asarray(factor, float))
+    poles = np.array([close_loop(plant, controller(float(f))).poles() for f in factors])
+    return RootLocus(factors, poles, label, title)
+
+
+@styled
+def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Figure:
+    """Draw how the poles move in the upper half plane; circles where they begin, squares where they end.
+
+    Parameters
+    ----------
+    data : RootLocus
+        From `root_locus_data`.
+    ax : matplotlib Axes, optional
+        A new figure when left out.
+    largest_hz : float
+        Poles further away from zero are not shown.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure, (panel, *_) = panels(ax, size=(5.2, 3.6))
+    poles = _hertz(data.poles)
+    shown = (np.abs(poles) <= largest_hz) & (poles.imag >= -1e-9)
+    factor = np.broadcast_to(data.factor[:, None], poles.shape)
+    cloud = panel.scatter(poles.real[shown], poles.imag[shown], s=5, c=factor[shown], cmap="viridis", linewidths=0)
+    for row, marker in ((0, "o"), (-1, "s")):
+        at, near = poles[row], shown[row]
+        look: dict[str, Any] = {"color": BLACK, "markersize": 5, "markerfacecolor": "none", "linestyle": "none"}
+        label = f"{data.factor[row]:g}"
+        panel.plot(at.real[near], at.imag[near], marker=marker, label=label, **look)
+    bar = figure.colorbar(cloud, ax=panel, pad=0.02)
+    bar.set_label(data.label)
+    _finish_plane(panel, largest_hz)
+    panel.legend(loc="lower left", title="factor", title_fontsize=8)
+    if data.title:
+        panel.set_title(data.title, loc="left", pad=6)
+    return figure
+
+
+def _hertz(poles: ComplexArray) -> ComplexArray:
+    return np.asarray(poles / (2 * np.pi), np.complex128)
+
+
+def _finish_plane(ax: Any, largest_hz: float) -> None:
+    """Rays of equal damping, labels with units, the stability limit."""
+    ax.axvline(0.0, color=BLACK, linewidth=0.9)
+    left, right = ax.get_xlim()
+    left = min(left, -0.05 * largest_hz)
+    right = max(right, 0.02 * largest_hz)
+    top = min(1.05 * largest_hz, 1.15 * ax.get_ylim()[1])
+    told = 0.0
+    for zeta in (0.7, 0.4, 0.2, 0.1, 0.05, 0.02):
+        slope = np.sqrt(1 - zeta**2) / zeta
+        reach = min(-left, top / slope)
+        ax.plot([0, -reach], [0, reach * slope], color=GREY, linewidth=0.6, linestyle=(0, (4, 3)), zorder=0)
+        at_edge = reach < top / slope
+        if at_edge or not told or told - reach > 0.07 * (right - left):  # else the numbers would overlap
+            look: dict[str, Any] = {"ha": "left", "va": "top"} if at_edge else {"ha": "center", "va": "bottom"}
+            shift = (2, -3) if at_edge else (0, 1)
+            word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}
+            ax.annotate(f"{zeta:g}", (-reach, reach * slope), **word, **look)
+            told = told if at_edge else reach
+    ax.set_xlim(left, right)
+    ax.set_ylim(-0.02 * top, top)
+    ax.set_xlabel("real part / 2π [Hz]; dashed: equal damping factor")
+    ax.set_ylabel("imaginary part / 2π [Hz]")

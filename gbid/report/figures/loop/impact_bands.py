@@ -1,0 +1,149 @@
+"""The same impact in several loops: means over the impacts with their spread, along x and along y."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from gbid.arrays import FloatArray
+from gbid.control.impact.study import ImpactStudy
+from gbid.control.impact.validation import ImpactValidation
+from gbid.errors import UsageError
+from gbid.operating_point import point_label
+from gbid.report.figures.canvas import (
+    TWO_COLUMNS,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+)
+from gbid.report.figures.loop.impact_curves import validation_along
+from gbid.report.figures.named import NamedFigure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MICROMETRES = 1e6
+_BEFORE_S = 5e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactLoops:
+    """Responses to the same impact in several loops.
+
+    Attributes
+    ----------
+    time : (n,) array
+        From the impact [s].
+    mean, spread : dict of str to (n, 2) array
+        By loop: position along the impact [m], mean and standard deviation. The first column is x after
+        impacts along x, the second y after impacts along y; nan where nothing hit along an axis.
+    title : str
+    """
+
+    time: FloatArray
+    mean: Mapping[str, FloatArray]
+    spread: Mapping[str, FloatArray]
+    title: str = ""
+
+
+def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.05) -> ImpactLoops:
+    """Average the responses to the impacts of each loop, for `plot_impact_loops`.
+
+    Parameters
+    ----------
+    studies : dict of str to ImpactStudy
+        By the label of the loop; at one operating point.
+    duration_s : float
+        How long to show after an impact [s]; less when the next impact comes earlier.
+
+    Returns
+    -------
+    ImpactLoops
+        Without what turns with the shaft.
+
+    Raises
+    ------
+    UsageError
+        When there are no studies, or not of one operating point and sample time.
+    """
+    found = list(studies.values())
+    steps = [float(v.time[1] - v.time[0]) for study in found for v in study.validations]
+    if not steps or any(s.conditions != found[0].conditions for s in found) or np.ptp(steps) > 1e-9:
+        raise UsageError("loops to be compared need impacts at one operating point, sampled alike")
+    before = round(_BEFORE_S / steps[0])
+    after = round(duration_s / steps[0])
+    for study in found:
+        for v in study.validations:
+            ends = [*(start for start, _ in v.windows[1:]), len(v.time)]
+            after = min(after, *(end - start for (start, _), end in zip(v.windows, ends, strict=True)))
+            before = min(before, v.windows[0][0])
+    parts = {label: _averaged(study, before, after) for label, study in studies.items()}
+    point = found[0].conditions
+    return ImpactLoops(
+        np.asarray(steps[0] * np.arange(-before, after)),
+        {label: mean for label, (mean, _) in parts.items()},
+        {label: spread for label, (_, spread) in parts.items()},
+        point_label(point["pressure_bar"], point["speed_rpm"]),
+    )
+
+
+def _averaged(study: ImpactStudy, before: int, after: int) -> tuple[FloatArray, FloatArray]:
+    mean, spread = np.full((2, before + after, 2), np.nan)
+    for j, axis in enumerate("xy"):
+        if any(v.axis == axis for v in study.validations):
+            impacts = _cut(validation_along(study, axis), j, before, after)
+            mean[:, j], spread[:, j] = impacts.mean(axis=0), impacts.std(axis=0, ddof=min(1, len(impacts) - 1))
+    return mean, spread
+
+
+def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
+    moved = v.measured[:, j] - v.stationary[:, j]
+    return np.array([moved[start - before : start + after] for start, _ in v.windows])
+
+
+@styled
+def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Figure:
+    """Draw the responses of several loops to the same impact, along x above, along y below.
+
+    Parameters
+    ----------
+    data : ImpactLoops
+    ax : sequence of two matplotlib Axes, optional
+        A new figure when left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        Lines are means over the impacts, bands a standard deviation to each side.
+    """
+    figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
+    for k, (label, mean) in enumerate(data.mean.items()):
+        style = series(k, marker=None, linewidth=1.2)
+        for j, panel in enumerate(axes[:2]):
+            middle, half = _MICROMETRES * mean[:, j], _MICROMETRES * data.spread[label][:, j]
+            panel.fill_between(1e3 * data.time, middle - half, middle + half, color=style["color"], alpha=0.2, lw=0)
+            panel.plot(1e3 * data.time, middle, label=label, **style)
+    for j, axis in enumerate("xy"):
+        axes[j].set_ylabel(f"$p_{axis}$, impact along {axis} [µm]")
+    letter(axes[:2])
+    axes[1].set_xlabel("time [ms]")
+    axes[1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
+    figure.align_ylabels(axes[:2])
+    legend_above(figure, axes[0], title=data.title)
+    return figure
+
+
+def _drawn(loops: Mapping[str, ImpactStudy]) -> Figure:
+    return plot_impact_loops(impact_loops_data(loops))
+
+
+FIGURES = (
+    NamedFigure("designs_impacts", lambda results: results.beside_at(False), _drawn),
+    NamedFigure("designs_impacts_turning", lambda results: results.beside_at(True), _drawn),
+)

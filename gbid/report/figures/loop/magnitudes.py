@@ -1,0 +1,160 @@
+"""Magnitudes over frequency: sensitivities and Bode magnitudes of the loop. Paper, Figs. 20 and 21."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.control import sensitivity_data
+from gbid.errors import UsageError
+from gbid.operating_point import point_label
+from gbid.report.figures.canvas import (
+    GREY,
+    TWO_COLUMNS,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+)
+from gbid.report.figures.named import NamedFigure
+from gbid.report.figures.save import symbol
+from gbid.report.reader import Results
+from gbid.report.reader.published import published_controller, published_gains, shown_point
+
+if TYPE_CHECKING:
+    from gbid.control import SensitivityData
+
+_RANGE_DB = 90.0
+
+
+@dataclass(frozen=True, eq=False)
+class MagnitudeCurves:
+    """Frequency responses that are drawn over each other, a panel for each pair of channels.
+
+    Attributes
+    ----------
+    frequency_hz : (n,) array
+    responses : dict of str to (n, n_outputs, n_inputs) complex array
+        By label, as it stands in the legend.
+    output_names, input_names : tuple of str
+    title : str
+        Operating point and controller.
+    """
+
+    frequency_hz: FloatArray
+    responses: Mapping[str, ComplexArray]
+    output_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    title: str = ""
+
+
+def sensitivity_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
+    """Choose the sensitivities of a loop (Fig. 20): ``S_o`` and ``K_pl S_o``.
+
+    Parameters
+    ----------
+    data : SensitivityData
+        From `gbid.control.sensitivity_data`.
+    title : str
+        Operating point and controller.
+
+    Returns
+    -------
+    MagnitudeCurves
+    """
+    curves = {"output sensitivity $S_o$": data.output, "controller sensitivity $K_{pl} S_o$": data.control}
+    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.output_names, title)
+
+
+def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
+    """Choose the plant and what the loop makes of it (Fig. 21): ``G`` and ``S_o G``.
+
+    Parameters
+    ----------
+    data : SensitivityData
+        From `gbid.control.sensitivity_data`.
+    title : str
+        Operating point and controller.
+
+    Returns
+    -------
+    MagnitudeCurves
+    """
+    curves = {"open loop $G$": data.open_loop, "closed loop $S_o G$": data.plant}
+    return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.input_names, title)
+
+
+@styled
+def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> Figure:
+    """Draw magnitudes over frequency, in decibels of m/m.
+
+    Parameters
+    ----------
+    data : MagnitudeCurves
+        From `sensitivity_curves` or `bode_curves`.
+    ax : array of matplotlib Axes, optional
+        Outputs down, inputs across; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+
+    Raises
+    ------
+    UsageError
+        When a response has another shape than the channels say.
+    """
+    shape = (len(data.frequency_hz), len(data.output_names), len(data.input_names))
+    for label, response in data.responses.items():
+        if response.shape != shape:
+            raise UsageError(f"response {label!r} has shape {response.shape}, expected {shape}")
+    rows, columns = shape[1:]
+    size = (TWO_COLUMNS, 0.7 + 1.9 * rows)
+    figure, axes = panels(ax, rows, columns, size=size, sharex=True, sharey=True)  # type: ignore[arg-type]
+    for i, output in enumerate(data.output_names):
+        for j, source in enumerate(data.input_names):
+            panel = axes[columns * i + j]
+            panel.axhline(0.0, color=GREY, linewidth=0.7)
+            for k, (label, response) in enumerate(data.responses.items()):
+                with np.errstate(divide="ignore"):
+                    level = 20 * np.log10(np.abs(response[:, i, j]))
+                level = np.where(np.isfinite(level), level, np.nan)
+                panel.semilogx(data.frequency_hz, level, label=label, **series(k, marker=None))
+            panel.set_title(f"{symbol(source)} to {symbol(output)}", loc="right", pad=4)
+            panel.set_xlim(data.frequency_hz[0], data.frequency_hz[-1])
+            if j == 0:
+                panel.set_ylabel("magnitude [dB re 1 m/m]")
+            if i == rows - 1:
+                panel.set_xlabel("frequency [Hz]")
+    with np.errstate(divide="ignore"):
+        top = 10 * np.ceil(max(2 * np.log10(np.abs(response).max()) for response in data.responses.values()))
+    axes[0].set_ylim(top - _RANGE_DB, top + 3)
+    letter(axes)
+    legend_above(figure, axes[0], title=data.title)
+    return figure
+
+
+def _loop(
+    curves: Callable[[SensitivityData, str], MagnitudeCurves],
+    results: Results,
+) -> MagnitudeCurves:
+    """Curves of the identified model in the loop with the published controller."""
+    point = shown_point(results.identified)
+    plant, d = results.identified.plant_at(*point), published_gains(results.machine)
+    gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"
+    data = sensitivity_data(plant, published_controller(results.machine))
+    return curves(data, f"{point_label(*point)}; {gains}")
+
+
+FIGURES = (
+    NamedFigure("fig20_sensitivities", partial(_loop, sensitivity_curves), plot_magnitudes),
+    NamedFigure("fig21_bode", partial(_loop, bode_curves), plot_magnitudes),
+)

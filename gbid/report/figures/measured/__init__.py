@@ -1,0 +1,1 @@
+"""Figures of recordings, characterisations, fits and their validation."""

@@ -1,0 +1,222 @@
+"""Piezos on their own: hysteresis and staircases, with and without PD control. Paper, Figs. A.28 and A.29."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.characterise import PiezoCurve
+from gbid.errors import UsageError
+from gbid.recording import Recording
+from gbid.report.figures.canvas import (
+    BLACK,
+    RED,
+    TWO_COLUMNS,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+)
+from gbid.report.figures.named import NamedFigure
+from gbid.report.reader import Results
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+@dataclass(frozen=True, eq=False)
+class PiezoStaircase:
+    """A staircase of one piezo.
+
+    Attributes
+    ----------
+    label : str
+        As ``"open loop"`` or ``"PD control"``.
+    time : (n,) array
+        [s]
+    command : (n,) array
+        Voltage [V], or the reference position [m].
+    command_unit : {"V", "m"}
+    position : (n,) array
+        [m]
+    steps : (n_steps,) integer array
+        Samples at which the command changes, rising.
+    """
+
+    label: str
+    time: FloatArray
+    command: FloatArray
+    command_unit: str
+    position: FloatArray
+    steps: IntArray
+
+    def plateaus(self) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Command and position [m] at the end of each step (mean of its last tenth), and whether the step rose."""
+        ends = [*self.steps[1:], len(self.time)]
+        parts = [slice(max(b, e - max(1, (e - b) // 10)), e) for b, e in zip(self.steps, ends, strict=True)]
+        command = np.array([self.command[part].mean() for part in parts])
+        position = np.array([self.position[part].mean() for part in parts])
+        return command, position, np.diff(command, prepend=self.command[max(self.steps[0] - 1, 0)]) > 0
+
+    def single_steps(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Time [s] and position [m] of each step from where and when it began, steps down mirrored."""
+        ends = [*self.steps[1:], len(self.time)]
+        found = []
+        for begin, end in zip(self.steps, ends, strict=True):
+            before = self.position[max(begin - 1, 0)]
+            sign = np.sign(self.command[begin] - self.command[max(begin - 1, 0)]) or 1.0
+            found.append((self.time[begin:end] - self.time[begin], sign * (self.position[begin:end] - before)))
+        return found
+
+
+def piezo_staircase_data(
+    label: str, time: npt.ArrayLike, command: npt.ArrayLike, position: npt.ArrayLike, command_unit: str = "V"
+) -> PiezoStaircase:
+    """Find the steps of a staircase: where the command changes.
+
+    Parameters
+    ----------
+    label : str
+    time, command, position : (n,) array
+        [s], in `command_unit`, [m].
+    command_unit : {"V", "m"}
+
+    Returns
+    -------
+    PiezoStaircase
+
+    Raises
+    ------
+    UsageError
+        When the command never changes, or lengths differ.
+    """
+    t, c, y = (np.asarray(values, float) for values in (time, command, position))
+    if not t.shape == c.shape == y.shape or t.ndim != 1:
+        raise UsageError(
+            f"{label}: time, command and position have shapes {t.shape}, {c.shape}, {y.shape}; give one each"
+        )
+    steps = np.flatnonzero(np.diff(c)) + 1
+    if not len(steps):
+        raise UsageError(f"{label}: the command never changes, so there is no staircase")
+    return PiezoStaircase(label, t, c, command_unit, y, steps)
+
+
+@styled
+def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
+    """Draw positions at rest over the command, up and down, and the staircase beside them (Fig. A.28).
+
+    Parameters
+    ----------
+    data : sequence of PiezoStaircase
+        Commands in different units get axes of their own.
+    ax : sequence of matplotlib Axes, optional
+        A hysteresis panel for each unit of the commands, then one for the staircase; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    units = list(dict.fromkeys(staircase.command_unit for staircase in data))
+    figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
+    for k, staircase in enumerate(data):
+        panel = axes[units.index(staircase.command_unit)]
+        scale, unit = _shown(staircase.command_unit)
+        command, position, rising = staircase.plateaus()
+        line = series(k, marker=None, linewidth=0.9)
+        panel.plot(scale * command, 1e6 * position, label=staircase.label, **line)
+        for there, marker in ((rising, "^"), (~rising, "v")):
+            look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
+            panel.plot(scale * command[there], 1e6 * position[there], **look)
+        panel.set_xlabel(f"command [{unit}]")
+        panel.set_ylabel("piezo position [µm]")
+        panel.legend(loc="upper left", fontsize=7.5)
+        panel.set_title("△ rising  ▽ falling", loc="right", pad=4, fontsize=7.5)
+        axes[-1].plot(staircase.time, _share(staircase.command), label=staircase.label, **line)
+    axes[-1].set_xlabel("time [s]")
+    axes[-1].set_ylabel("command [share of its range]")
+    letter(axes)
+    return figure
+
+
+@styled
+def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
+    """Draw single steps from where they began, and the whole staircases (Fig. A.29).
+
+    Parameters
+    ----------
+    data : sequence of PiezoStaircase
+        Open loop and PD control, for example. Steps down are mirrored and dashed.
+    ax : sequence of two matplotlib Axes, optional
+        A new figure when left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
+    for k, staircase in enumerate(data):
+        rising = staircase.plateaus()[2]
+        color = (BLACK, RED)[k] if k < 2 else series(k)["color"]
+        told: set[bool] = set()
+        for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
+            word = None if bool(up) in told else f"{staircase.label}, {'up' if up else 'down'}"
+            told.add(bool(up))
+            style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
+            axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)  # type: ignore[arg-type]
+        axes[1].plot(staircase.time, 1e6 * staircase.position, color=color)
+    axes[0].set_xlabel("time from the step [ms]")
+    axes[0].set_ylabel("step of the position [µm]")
+    axes[1].set_xlabel("time [s]")
+    axes[1].set_ylabel("piezo position [µm]")
+    letter(axes)
+    legend_above(figure, axes[0], columns=4)
+    return figure
+
+
+def _shown(unit: str) -> tuple[float, str]:
+    return (1e6, "µm") if unit == "m" else (1.0, unit)
+
+
+def _share(command: FloatArray) -> FloatArray:
+    span = np.ptp(command)
+    return np.asarray((command - command.min()) / (span if span else 1.0))
+
+
+def piezo_data(
+    curve: PiezoCurve, recording: Recording, command: str, command_channel: str | None = None
+) -> PiezoStaircase:
+    """Give a staircase of a piezo with its time course, for the figures A.28 and A.29.
+
+    Parameters
+    ----------
+    curve : PiezoCurve
+    recording : Recording
+        That it was made from.
+    command : str
+        Signal with the voltage or the reference.
+    command_channel : str, optional
+        That of the position when left out.
+    """
+    position, _, channel = curve.channel.rpartition("_")
+    source = recording.channels[command].index(command_channel or channel)
+    y = recording.signal(position)[:, recording.channels[position].index(channel)]
+    label = "open loop" if curve.units[0] == "V" else "PD control"
+    x = recording.signal(command)[:, source]
+    return piezo_staircase_data(label, recording.time, x, y, curve.units[0])
+
+
+def _staircases(results: Results) -> list[PiezoStaircase]:
+    return [piezo_data(*found) for found in results.piezos]
+
+
+FIGURES = (
+    NamedFigure("figA28_piezo_hysteresis", _staircases, plot_piezo_hysteresis),
+    NamedFigure("figA29_piezo_staircase", _staircases, plot_piezo_staircase),
+)

@@ -1,0 +1,141 @@
+"""The static map from piezo positions to disc position: paper, Fig. 5."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from gbid.arrays import BoolArray, FloatArray
+from gbid.characterise import StaticMap
+from gbid.operating_point import point_label
+from gbid.report.figures.canvas import (
+    BLACK,
+    BLUE,
+    ONE_COLUMN,
+    RED,
+    TWO_COLUMNS,
+    legend_above,
+    letter,
+    panels,
+    styled,
+)
+from gbid.report.figures.named import NamedFigure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_MICROMETRES = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class StaticSweep:
+    """Positions at rest while one input goes up and down its staircase.
+
+    Attributes
+    ----------
+    axis : {"x", "y"}
+        Of the input.
+    u : (n,) array
+        Difference of piezo positions [m].
+    p : (n, 2) array
+        Disc position [m].
+    rising : (n,) boolean array
+        Whether the step went up.
+    gain, offset : (2,) array
+        Of the lines ``p = gain u + offset``.
+    """
+
+    axis: str
+    u: FloatArray
+    p: FloatArray
+    rising: BoolArray
+    gain: FloatArray
+    offset: FloatArray
+
+
+@styled
+def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = None, title: str = "") -> Figure:
+    """Draw the positions at rest over the inputs, with straight lines through them.
+
+    Parameters
+    ----------
+    data : sequence of StaticSweep
+        One for each input; from `static_map_data`.
+    ax : sequence of matplotlib Axes, optional
+        Outputs down, inputs across; a new figure when left out.
+    title : str
+        Operating point.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    columns = len(data)
+    width = TWO_COLUMNS if columns > 1 else ONE_COLUMN
+    figure, axes = panels(ax, 2, columns, size=(width, 4.4), sharex="col", sharey="row")
+    for j, sweep in enumerate(data):
+        ends = np.array([sweep.u.min(), sweep.u.max()])
+        for i, output in enumerate("xy"):
+            panel = axes[columns * i + j]
+            rms = float(np.sqrt(np.mean((sweep.p[:, i] - sweep.gain[i] * sweep.u - sweep.offset[i]) ** 2)))
+            line = sweep.gain[i] * ends + sweep.offset[i]
+            panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=BLACK, linewidth=0.9, label="straight line")
+            for there, marker, color, label in (
+                (sweep.rising, "^", BLUE, "rising"),
+                (~sweep.rising, "v", RED, "falling"),
+            ):
+                points: dict[str, Any] = {
+                    "color": color,
+                    "markersize": 4,
+                    "markerfacecolor": "none",
+                    "linestyle": "none",
+                }
+                u, p = _MICROMETRES * sweep.u[there], _MICROMETRES * sweep.p[there, i]
+                panel.plot(u, p, marker=marker, label=label, **points)
+            text = f"$g_{{{output}{sweep.axis}}}$ = {sweep.gain[i]:z.3f} m/m, rms {_MICROMETRES * rms:.2g} µm"
+            panel.set_title(text, loc="right", pad=4, fontsize=8)
+            if j == 0:
+                panel.set_ylabel(f"$p_{output}$ [µm]")
+        axes[columns + j].set_xlabel(f"$u_{sweep.axis}$ [µm]")
+    letter(axes)
+    figure.align_ylabels(axes)
+    legend_above(figure, axes[0], title=title)
+    return figure
+
+
+def static_map_data(result: StaticMap) -> list[StaticSweep]:
+    """Give the panels of a static map, a sweep for each input, for `plot_static_map` (Fig. 5).
+
+    Parameters
+    ----------
+    result : StaticMap
+        Of two outputs; positions are those about the equilibrium, and the lines those of the result.
+
+    Returns
+    -------
+    list of StaticSweep
+        Of inputs that moved.
+    """
+    sweeps = []
+    for j, source in enumerate(result.input_names):
+        if not np.isfinite(result.gain[:, j]).all():
+            continue
+        panels = [result.panel(i, j) for i in range(len(result.output_names))]
+        u, p = panels[0]["input"], np.column_stack([panel["output"] for panel in panels])
+        rising = panels[0]["direction"] >= 0
+        sweeps.append(StaticSweep(source[-1], u, p, rising, result.gain[:, j], np.zeros(len(panels))))
+    return sweeps
+
+
+def static_map_figure(found: StaticMap) -> Figure:
+    """Draw a static map with its operating point (Fig. 5)."""
+    known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
+    title = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""
+    return plot_static_map(static_map_data(found), title=title)
+
+
+FIGURES = (NamedFigure("fig05_static_map", lambda results: results.static_map, static_map_figure),)

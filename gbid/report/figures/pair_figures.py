@@ -1,0 +1,64 @@
+"""Stage that draws the figures of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from gbid.errors import DataError
+from gbid.experiment.keys import content_key
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
+from gbid.experiment.stages.crossval.pairing import drawn_pairs, pair_keys, residuals_of_pair, validate_pair
+from gbid.report.figures.measured.residual_panels import residuals_figure
+from gbid.report.figures.measured.response import response_figure
+from gbid.report.figures.save import save_figure
+
+FOLDER = "figures"
+
+
+def draw_figures(job: Job) -> list[Outcome]:
+    """Write ``figures/<fit>_<model>_on_<recording>.png`` and ``.pdf`` for each fit that is to be shown.
+
+    What is shown are the pairs of the fit's cross-validation; without one, each model on its own recordings. Where
+    the experiment asks for the residuals, they come as ``..._residuals``.
+    """
+    outcomes = []
+    for fit, model, recording in drawn_pairs(job):
+        name = f"{fit}_{model}_on_{recording}"
+        try:
+            sources = pair_keys(job, fit, model, recording)
+        except (DataError, OSError) as error:
+            outcomes.append(Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error)))
+            job.reporter.end(outcomes[-1])
+            continue
+        section = job.experiment.spec.figures[fit]
+        pictures = [(name, _response, section.model_dump(exclude={"residuals"}))]
+        if section.residuals:
+            pictures.append((f"{name}_residuals", _residuals, {"residuals": True}))
+        for title, draw, settings in pictures:
+            for kind in ("png", "pdf"):
+                path = job.path(FOLDER, title, f".{kind}")
+                key = content_key("figure", {"kind": kind, **settings}, sources)
+                write = partial(_save, partial(draw, job, fit, model, recording), kind, key)
+                outcomes.append(produce(job, "figure", f"{title}.{kind}", path, key, write))
+    return outcomes
+
+
+def _response(job: Job, fit: str, model: str, recording: str) -> Figure:
+    section = job.experiment.spec.figures[fit]
+    return response_figure(validate_pair(job, fit, model, recording), from_s=section.from_s, to_s=section.to_s)
+
+
+def _residuals(job: Job, fit: str, model: str, recording: str) -> Figure:
+    ahead = "one-step-ahead" if job.experiment.spec.fits[fit].focus == "prediction" else "simulation"
+    title = f"{ahead} residuals of {fit}, model of {model} on {recording}"
+    return residuals_figure(residuals_of_pair(job, fit, model, recording), title=title)
+
+
+def _save(draw: Callable[[], Figure], kind: str, key: str, part: Path) -> None:
+    save_figure(draw(), part, kind=kind, note=f"content_key: {key}")

@@ -1,0 +1,277 @@
+"""Quantities of the model over injection pressure, a curve for each speed: paper, Figs. 14 to 18."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from gbid.arrays import FloatArray
+from gbid.errors import UsageError
+from gbid.lpv import CHARACTERISTICS, LPVFit
+from gbid.operating_point import point_label
+from gbid.report.figures.canvas import (
+    TWO_COLUMNS,
+    legend_above,
+    letter,
+    panels,
+    series,
+    styled,
+)
+from gbid.report.figures.named import NamedFigure
+from gbid.report.reader import Results
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from gbid.lpv import LPVModel
+    from gbid.structure import LinearModel
+
+Estimates = Mapping[str, npt.ArrayLike]
+_Speeds = Sequence[float]
+_PAIRS = ("xx", "xy", "yx", "yy")
+_MODES = {"frequency": "omega", "damping": "zeta"}
+
+
+@dataclass(frozen=True, eq=False)
+class PressurePanel:
+    """One quantity over injection pressure.
+
+    Attributes
+    ----------
+    name : str
+        Key of the quantity, as ``frequency_1``.
+    label : str
+        What the axis says, unit included.
+    pressure_bar : (n_pressures,) array
+    speed_rpm : (n_speeds,) array
+    values : (n_speeds, n_pressures) array
+        Of the model.
+    points : (n_points, 2) array
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : (n_points,) array
+    """
+
+    name: str
+    label: str
+    pressure_bar: FloatArray
+    speed_rpm: FloatArray
+    values: FloatArray
+    points: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    estimates: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+
+def delays_data(
+    model: LPVModel,
+    *,
+    sample_time: float = 2e-4,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Give the delays in samples (Figs. 14, 15).
+
+    Parameters
+    ----------
+    model : LPVModel
+    sample_time : float
+        Of the recordings [s].
+    speeds_rpm : sequence of float
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        ``tau_x``, ``tau_y`` [s].
+
+    Returns
+    -------
+    list of PressurePanel
+        ``tau_x`` and ``tau_y`` [samples].
+    """
+    kilohertz = 1e-3 / sample_time
+    labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {kilohertz:g} kHz]" for axis in "xy"}
+    found = {name: np.asarray(values, float) / sample_time for name, values in (estimates or {}).items()}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        values = model.key_parameters(bar, rpm)
+        return [float(values[name]) / sample_time for name in labels]
+
+    return _panels(model, labels, at, speeds_rpm, points, found)
+
+
+def modes_data(
+    model: LPVModel,
+    what: Literal["frequency", "damping"] = "frequency",
+    *,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Give natural frequencies or damping factors of the two modes of the shaft (Figs. 16, 17).
+
+    Parameters
+    ----------
+    model : LPVModel
+    what : {"frequency", "damping"}
+    speeds_rpm : sequence of float
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        ``frequency_1``, ``frequency_2`` [Hz], or ``damping_1``, ``damping_2``.
+
+    Returns
+    -------
+    list of PressurePanel
+        A panel for each mode, by rising frequency.
+
+    Raises
+    ------
+    UsageError
+        Where the model has fewer than two modes.
+    """
+    greek, unit, index = ("\\omega", "Hz", 0) if what == "frequency" else ("\\zeta", "-", 1)
+    word = "natural frequency" if what == "frequency" else "damping factor"
+    labels = {f"{what}_{i}": f"{word} ${greek}_{i}$ [{unit}]" for i in (1, 2)}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        modes = model.at(bar, rpm).modes()
+        if len(modes) < 2:
+            raise UsageError(f"{model.name} at {point_label(bar, rpm)} has {len(modes)} modes; two are drawn")
+        return [mode[index] for mode in modes[:2]]
+
+    return _panels(model, labels, at, speeds_rpm, points, estimates)
+
+
+def static_gains_data(
+    model: LPVModel,
+    *,
+    speeds_rpm: _Speeds = (0.0, 4000.0, 6000.0),
+    points: npt.ArrayLike | None = None,
+    estimates: Estimates | None = None,
+) -> list[PressurePanel]:
+    """Give the static gains from u to p (Fig. 18).
+
+    Parameters
+    ----------
+    model : LPVModel
+    speeds_rpm : sequence of float
+    points : (n_points, 2) array, optional
+        Pressure [bar] and speed [rpm] of the estimates.
+    estimates : dict of str to (n_points,) array, optional
+        ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
+
+    Returns
+    -------
+    list of PressurePanel
+    """
+    labels = {f"g_{i}{j}": f"static gain $g_{{{i}{j}}}$ [m/m]" for i in "xy" for j in "xy"}
+
+    def at(bar: float, rpm: float) -> Sequence[float]:
+        bearing: LinearModel = model.at(bar, rpm)
+        return [float(gain) for gain in bearing.static_gain().ravel()]
+
+    return _panels(model, labels, at, speeds_rpm, points, estimates)
+
+
+@styled
+def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> Figure:
+    """Draw curves of the model, one for each speed, with the estimates as marks of the same colour.
+
+    Parameters
+    ----------
+    data : sequence of PressurePanel
+        From `delays_data`, `modes_data` or `static_gains_data`.
+    ax : sequence of matplotlib Axes, optional
+        One for each panel; a new figure when left out.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+    """
+    rows = -(-len(data) // 2)
+    figure, axes = panels(ax, rows, min(2, len(data)), size=(TWO_COLUMNS, 0.5 + 2.15 * rows), sharex=True)
+    for i, (panel, quantity) in enumerate(zip(axes, data, strict=False)):
+        for k, speed in enumerate(quantity.speed_rpm):
+            line = series(k, marker=None)
+            panel.plot(quantity.pressure_bar, quantity.values[k], label=f"model, {speed:g} rpm", **line)
+            there = quantity.points[:, 1] == speed
+            if there.any():
+                marks = series(k, linestyle="none", markersize=4.5, markerfacecolor="none", markeredgewidth=0.9)
+                panel.plot(
+                    quantity.points[there, 0], quantity.estimates[there], label=f"estimates, {speed:g} rpm", **marks
+                )
+        panel.set_ylabel(quantity.label)
+        if i >= len(data) - 2:
+            panel.set_xlabel("injection pressure [bar]")
+    if len(data) > 1:
+        letter(axes[: len(data)])
+    legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
+    return figure
+
+
+def _panels(
+    model: LPVModel,
+    labels: Mapping[str, str],
+    at: Callable[[float, float], Sequence[float]],
+    speeds_rpm: _Speeds,
+    points: npt.ArrayLike | None,
+    estimates: Estimates | None,
+) -> list[PressurePanel]:
+    pressure = np.linspace(*model.domain.pressure_bar, 25)
+    speeds = np.asarray(speeds_rpm, float)
+    values = np.array([[at(float(bar), float(rpm)) for bar in pressure] for rpm in speeds])
+    where = np.zeros((0, 2)) if points is None else np.atleast_2d(np.asarray(points, float))
+    panels_made = []
+    for i, (name, label) in enumerate(labels.items()):
+        found: Any = np.asarray((estimates or {}).get(name, np.zeros(0)), float)
+        if len(found) not in (0, len(where)):
+            raise UsageError(f"{name}: {len(found)} estimates for {len(where)} points; give one for each")
+        marked = where if len(found) else np.zeros((0, 2))
+        panels_made.append(PressurePanel(name, label, pressure, speeds, values[:, :, i], marked, found))
+    return panels_made
+
+
+def fit_over_pressure_data(
+    fit: LPVFit, what: Literal["delay", "frequency", "damping", "gain"], *, sample_time: float = 2e-4
+) -> list[PressurePanel]:
+    """Give delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
+
+    Parameters
+    ----------
+    fit : LPVFit
+    what : {"delay", "frequency", "damping", "gain"}
+    sample_time : float
+        For delays [s].
+    """
+    found = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
+    points = fit.estimates.points
+    speeds = [float(speed) for speed in np.unique(points[:, 1])]
+    if what == "delay":
+        estimates = {name: found[name] for name in ("tau_x", "tau_y")}
+        return delays_data(fit.model, sample_time=sample_time, speeds_rpm=speeds, points=points, estimates=estimates)
+    if what == "gain":
+        estimates = {f"g_{pair}": found[f"g_{pair}"] for pair in _PAIRS}
+        return static_gains_data(fit.model, speeds_rpm=speeds, points=points, estimates=estimates)
+    estimates = {f"{what}_{i}": found[f"{_MODES[what]}_{i}"] for i in (1, 2)}
+    return modes_data(fit.model, what, speeds_rpm=speeds, points=points, estimates=estimates)
+
+
+def _panels_of(
+    what: Literal["delay", "frequency", "damping", "gain"], results: Results, only: str | None = None
+) -> list[PressurePanel]:
+    rig = results.experiment.spec.rig
+    data = fit_over_pressure_data(results.surface_fit, what, sample_time=rig.sample_time_s if rig else 2e-4)
+    return [panel for panel in data if only in (None, panel.name)]
+
+
+FIGURES = (
+    NamedFigure("fig14_delay_x", partial(_panels_of, "delay", only="tau_x"), plot_over_pressure),
+    NamedFigure("fig15_delay_y", partial(_panels_of, "delay", only="tau_y"), plot_over_pressure),
+    NamedFigure("fig16_natural_frequencies", partial(_panels_of, "frequency"), plot_over_pressure),
+    NamedFigure("fig17_damping_factors", partial(_panels_of, "damping"), plot_over_pressure),
+    NamedFigure("fig18_static_gains", partial(_panels_of, "gain"), plot_over_pressure),
+)

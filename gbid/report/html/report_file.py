@@ -1,0 +1,103 @@
+"""Write the report of an experiment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from gbid.errors import DataError, UsageError
+from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.perform import produce
+from gbid.report.figures.named import named_figures
+from gbid.report.html.page import PageSection, Shown, Words
+from gbid.report.html.pictures import Pictures
+from gbid.report.html.render import render
+from gbid.report.html.sections.controller_section import controller_section
+from gbid.report.html.sections.fits_section import fits_section
+from gbid.report.html.sections.impacts_section import impacts_section
+from gbid.report.html.sections.quality_section import quality_section
+from gbid.report.html.sections.static_section import static_section
+from gbid.report.html.sections.summary_section import not_done, summary_section, warnings
+from gbid.report.html.sections.surfaces_section import surfaces_section
+from gbid.report.html.sections.validation_section import nominal_section, validation_section
+from gbid.report.reader import Results
+
+NAME = "report.html"
+_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller")
+
+
+def write_report(job: Job, path: Path | None = None) -> Outcome:
+    """Write one self-contained HTML file on the results that are there; nothing else is made.
+
+    Parameters
+    ----------
+    job : Job
+    path : path, optional
+        ``report.html`` in the folder of the results when not given. A report of an earlier state is replaced, any
+        other file only with `Job.overwrite`.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    UsageError
+        When another file stands there.
+    DataError
+        When it cannot be written.
+    """
+    path = job.experiment.results / NAME if path is None else path
+    results = Results(job)
+    key = _key(results)
+    mine = bool(stored_key(path))
+    job = replace(job, overwrite=job.overwrite or mine)
+
+    def write(part: Path) -> None:
+        part.write_text(report_text(results, key), encoding="utf-8")
+
+    return produce(job, "report", path.name, path, key, write)
+
+
+def report_text(results: Results, key: str = "") -> str:
+    """Return the report as HTML text."""
+    pictures = Pictures()
+    found = warnings(results)
+    middle: list[PageSection | None] = [
+        summary_section(results, found),
+        quality_section(results),
+        static_section(results, pictures),
+        fits_section(results),
+        validation_section(results, pictures),
+        nominal_section(results, pictures),
+        surfaces_section(results, pictures),
+        controller_section(results, pictures),
+        impacts_section(results, pictures),
+    ]
+    spec = results.experiment.spec
+    sections = [_with_named(section, results, pictures) for section in middle if section is not None]
+    return render(spec.title, spec.name, sections, not_done(results), key)
+
+
+def _with_named(section: PageSection, results: Results, pictures: Pictures) -> PageSection:
+    """Append the figures that name the section in their own file."""
+    blocks = list(section.blocks)
+    for figure in named_figures().values():
+        if figure.section == section.id:
+            try:
+                blocks.append(Shown(pictures.picture(figure.make(results), figure.words)))
+            except (DataError, UsageError) as error:
+                blocks.append(Words(f"{figure.words}: {error}", "warn"))
+    return replace(section, blocks=blocks)
+
+
+def _key(results: Results) -> str:
+    """Content key: how everything stands, and the keys of the files that are there."""
+    experiment = results.experiment
+    standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
+    made = [stored_key(path) for folder in _FOLDERS for path in sorted((experiment.results / folder).glob("*.*"))]
+    fits = [stored_key(results.job.path("fits", f.item)) for f in results.standings if f.stage == "fit"]
+    spec = {**experiment.spec.model_dump(mode="json", exclude={"rig", "imported"}), "standings": standings}
+    return content_key("report", spec, [*fits, *made])

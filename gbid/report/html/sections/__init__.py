@@ -1,0 +1,1 @@
+"""Sections of the page, a file each: results in, blocks out."""

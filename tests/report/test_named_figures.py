@@ -1,0 +1,79 @@
+"""A figure is one file: its name, what it needs and how it is drawn; verbs, page and docs find it."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from experiment_files import QUICK, write_quick
+from experiment_files import gbid as command
+
+from gbid.errors import DataError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.report import figures
+from gbid.report.figures.named import named_figures
+from gbid.report.html import write_report
+from gbid.report.paper import paper_files
+from gbid.report.reader import Results
+
+ONE_FILE = """\
+from matplotlib.figure import Figure
+
+from gbid.report.figures.canvas import panels, styled
+from gbid.report.figures.named import NamedFigure
+
+
+@styled
+def plot_poles(poles, ax=None) -> Figure:
+    figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    panel.plot(poles.real, poles.imag, "x")
+    return figure
+
+
+FIGURES = (
+    NamedFigure(
+        "poles_of_the_machine",
+        lambda results: results.machine.plant_at(6, 0).poles(),
+        plot_poles,
+        words="Poles of the machine behind the rig at 6 bar, 0 rpm",
+        section="controller",
+    ),
+)
+"""
+
+
+@pytest.fixture
+def one_file(tmp_path, monkeypatch):
+    """A file more in the package of figures."""
+    folder = tmp_path / "more"
+    folder.mkdir()
+    (folder / "poles.py").write_text(ONE_FILE)
+    monkeypatch.setattr(figures, "__path__", [*figures.__path__, str(folder)])
+    yield
+    sys.modules.pop("gbid.report.figures.poles", None)
+
+
+def test_each_figure_of_the_paper_has_a_name():
+    names = list(named_figures())
+    assert names == sorted(names)
+    numbers = {name[3:5] for name in names if name.startswith("fig") and name[3:5].isdigit()}
+    assert numbers == {f"{n:02d}" for n in range(3, 28)}
+    assert {"figA28_piezo_hysteresis", "figA29_piezo_staircase", "designs_pareto"} < set(names)
+
+
+def test_a_figure_that_lacks_its_result_says_which(tmp_path):
+    results = Results(Job(load_experiment(write_quick(tmp_path, text=QUICK))))
+    with pytest.raises(DataError, match="no section 'lpv'; add one"):
+        named_figures()["fig11_stiffness"].make(results)
+
+
+def test_a_file_is_enough_for_verb_and_page(tmp_path, one_file, monkeypatch):
+    assert "poles_of_the_machine" in named_figures()
+    path = write_quick(tmp_path, text=QUICK)
+    found = {name: figure for name, figure in named_figures().items() if name == "poles_of_the_machine"}
+    monkeypatch.setattr(paper_files, "named_figures", lambda: found)  # the others take their time
+    assert command("figures", path) == 0
+    assert (tmp_path / "results" / "quick" / "figures" / "poles_of_the_machine.pdf").is_file()
+    page = write_report(Job(load_experiment(path))).path.read_text(encoding="utf-8")
+    assert "Poles of the machine behind the rig at 6 bar, 0 rpm" in page[page.index('id="controller"') :]
