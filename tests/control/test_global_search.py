@@ -1,0 +1,92 @@
+"""The search over gains on problems whose best design is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from gain_problems import damping_problem
+
+from gbid.control.tuning.search.global_search import Effort, better, search
+from gbid.control.tuning.search.problem import Score
+from gbid.control.tuning.search.sqp import optimise_locally
+
+
+def two_basins(g: Any) -> Any:
+    """0.32 at -0.537, where a climb from 0 ends, and 0.72 at 1.963; neither is a node of the search's grid."""
+    return 0.02 + 0.3 * ca.exp(-(((g + 0.537) / 0.4) ** 2)) + 0.7 * ca.exp(-(((g - 1.963) / 0.4) ** 2))
+
+
+def test_the_better_of_two_basins_is_found_from_a_start_in_the_other() -> None:
+    problem, neutral = damping_problem(two_basins, [-3.0], [3.0]), np.zeros(1)
+    near = optimise_locally(problem, neutral)
+    assert near.converged
+    assert near.x == pytest.approx([-0.537], abs=1e-3)
+    assert near.score.value == pytest.approx(0.32, abs=1e-6)
+    steps: list[Any] = []
+    found = search(problem, neutral, Effort(), progress=steps.append)
+    assert found.best.converged
+    assert found.best.x == pytest.approx([1.963], abs=1e-3)
+    assert found.best.score == Score(pytest.approx(0.72, abs=1e-6), 0.0)
+    assert tuple(steps) == found.history
+    assert steps[0].stage == "global"
+    assert steps[-1].value == found.best.score.value
+    assert all(a.value <= b.value and a.count < b.count for a, b in pairwise(steps))
+
+
+def test_a_start_that_is_given_is_climbed_as_well() -> None:
+    problem, neutral = damping_problem(two_basins, [-3.0], [3.0]), np.zeros(1)
+    assert search(problem, neutral, Effort(starts=0)).best.score.value == pytest.approx(0.32, abs=1e-6)
+    given = search(problem, neutral, Effort(starts=0), [np.array([1.5])]).best
+    assert given.score.value == pytest.approx(0.72, abs=1e-6)
+    beyond = search(problem, neutral, Effort(starts=0), [np.array([7.0])]).best  # moved to the bound at 3
+    assert beyond.x[0] <= 3.0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_basin_hopping_crosses_ripples_that_hold_a_climb(seed: int) -> None:
+    """A hill of four gains with ripples along the first, 0.06 of 2 apart: the top is 0.6, at zero."""
+
+    def rippled(g: Any) -> Any:
+        return 0.6 - 0.3 * ca.sumsqr(g) + 0.02 * (ca.cos(2 * np.pi * g[0] / 0.06) - 1)
+
+    problem, neutral = damping_problem(rippled, [-1.0] * 4, [1.0] * 4), np.array([0.31, 0.4, -0.3, 0.2])
+    held = search(problem, neutral, Effort(starts=0, hops=0, seed=seed))
+    assert held.best.score.value < 0.595
+    assert {step.stage for step in held.history} == {"global", "local"}
+    found = search(problem, neutral, Effort(starts=0, seed=seed))
+    assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
+    assert found.best.x == pytest.approx(np.zeros(4), abs=1e-3)
+    assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
+
+
+def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:
+    """A curved valley leads to 0.52; after the first climb its start is still far behind a hill of 0.32."""
+    hill, begin = np.array([-1.0, -1.0, 0.0, 0.0]), np.array([-1.0, 1.0, 0.5, 0.5])
+
+    def hill_and_valley(g: Any) -> Any:
+        off = 200 * (g[1] - g[0] ** 2) ** 2 + (1 - g[0]) ** 2 + g[2] ** 2 + g[3] ** 2
+        return 0.02 + 0.5 / (1 + off) + 0.3 * ca.exp(-ca.sumsqr((g - hill) / 0.3))
+
+    problem = damping_problem(hill_and_valley, [-2.0] * 4, [2.0] * 4)
+    rough = optimise_locally(problem, begin, max_iterations=40, curvature=False, tolerance=1e-5)
+    assert rough.score.value < 0.2 < 0.31 < optimise_locally(problem, hill).score.value
+    found = search(problem, hill, Effort(starts=0, hops=0), [begin]).best
+    assert found.score.value == pytest.approx(0.52, abs=1e-6)
+    assert found.x == pytest.approx([1, 1, 0, 0], abs=1e-3)
+    alone = search(problem, hill, Effort(starts=0, hops=0, finalists=1), [begin]).best
+    assert alone.score.value < 0.33
+
+
+def test_limits_come_before_the_aim() -> None:
+    kept, low, worse = Score(0.2, 0.0), Score(0.1, 0.0), Score(0.9, 1e-3)
+    assert better(kept, low)
+    assert not better(low, kept)
+    assert better(low, worse)
+    assert not better(worse, low)
+    assert better(worse, Score(0.95, 2e-3))
+    assert not better(Score(0.95, 2e-3), worse)
+    assert better(Score(0.3, 0.9e-6), kept)  # a limit exceeded by less than 1e-6 is kept

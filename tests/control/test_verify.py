@@ -1,0 +1,157 @@
+"""Checks of a design against peaks, norms and edges that are known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from gain_problems import damping_problem, oscillator, responding
+from scipy.optimize import brentq
+
+from gbid.control.tuning.maximise import add_cuts, solve, summarise
+from gbid.control.tuning.search.global_search import Effort
+from gbid.control.tuning.search.limits import Limits
+from gbid.control.tuning.search.loop_family import LoopFamily, families_of
+from gbid.control.tuning.search.peaks import Peaks, respond
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.verify import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
+
+NOTHING = np.zeros(1)
+
+
+def peak(damping: float) -> float:
+    return 1 / (2 * damping * np.sqrt(1 - damping**2))
+
+
+# ---- norms ----
+
+
+@pytest.mark.parametrize("damping", [0.3, 1e-2, 1e-5])
+def test_exact_norms_of_resonances(damping: float) -> None:
+    """Of 1e-5 the resonance is narrower than any grid: at one part in 1000 beside it, 500 of 50 000 are left."""
+    family = responding(damping, ca.SX.sym("g"), rates=(1.0, 37.3, 5000.0))
+    for kind, factor in (("sensitivity", 1.0), ("control", 3.0)):
+        for norm, rate in zip(exact_norms(family, NOTHING, kind), (1.0, 37.3, 5000.0), strict=True):
+            assert norm.value == pytest.approx(factor * peak(damping), rel=1e-5)
+            assert norm.frequency == pytest.approx(rate * np.sqrt(1 - 2 * damping**2), rel=1e-4)
+    np.testing.assert_allclose(static_gains(family, NOTHING), [1.0, 1.0, 1.0], rtol=1e-12)
+
+
+def test_exact_norm_of_two_by_two_against_a_fine_grid() -> None:
+    random = np.random.default_rng(4)
+    A = np.kron(np.diag([1.0, 1.02]), np.array([[0.0, 1.0], [-1.0, -0.004]])) + 1e-3 * random.normal(size=(4, 4))
+    B, C, D = random.normal(size=(4, 2)), random.normal(size=(4, 4)), random.normal(size=(4, 2))
+    g = ca.SX.sym("g")
+    matrices = [ca.SX(M) for M in (A, B, C, D)]
+    slopes = [ca.SX(M.size, 1) for M in (A, B, C, D)]
+    family = LoopFamily(
+        ca.Function("matrices", [g], [ca.densify(M) for M in matrices]),
+        ca.Function("slopes", [g], [ca.densify(M) for M in slopes]),
+        ("loop",),
+        n_outputs=2,
+    )
+    w = np.linspace(0.9, 1.1, 40001)
+    response = C @ np.linalg.solve(1j * w[:, None, None] * np.eye(4) - A, B.astype(complex)) + D
+    for kind, rows in (("sensitivity", slice(0, 2)), ("control", slice(2, 4))):
+        fine = np.linalg.svd(response[:, rows], compute_uv=False)[:, 0]
+        (found,) = exact_norms(family, NOTHING, kind)
+        assert fine.max() <= found.value * (1 + 1e-12)
+        assert found.value == pytest.approx(fine.max(), rel=1e-5)
+        assert found.frequency == pytest.approx(w[fine.argmax()], abs=2e-5)
+    at_rest = np.linalg.svd(C[:2] @ np.linalg.solve(-A, B) + D[:2], compute_uv=False)[0]
+    assert static_gains(family, NOTHING) == pytest.approx([at_rest], rel=1e-10)
+
+
+# ---- peaks that the grid missed ----
+
+
+def on_two_frequencies(loops: Any, modes: Any, rows: slice, extra: Any = None) -> Peaks:
+    """Peaks as a grid of two frequencies beside the resonance knows them, and at the places it is told of."""
+    m = len(loops.A)
+    which, places = np.repeat(np.arange(m), 2), np.tile([0.5, 2.0], m)
+    if extra is not None:
+        which, places = np.concatenate([which, extra[0]]), np.concatenate([places, extra[1]])
+    response = respond(loops, modes, rows, which, places[:, None])
+    return Peaks(which, places, np.linalg.svd(response, compute_uv=False)[:, 0, 0])
+
+
+@pytest.fixture
+def blind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbid.control.tuning.search.problem.find_peaks", on_two_frequencies)
+
+
+@pytest.mark.usefixtures("blind")
+def test_a_peak_between_the_grids_frequencies_is_noted() -> None:
+    family = responding(0.05, ca.SX.sym("g"), rates=(1.0, 1.1))
+    limits = Limits(peak_sensitivity=5.0, peak_control=100.0)
+    problem = GainProblem((family,), limits, np.zeros(1), np.ones(1), 1.0)
+    assert problem.score(NOTHING).violation == 0.0  # 1.33 at the grid's frequencies, 10 in between
+    assert add_cuts(problem, NOTHING)
+    assert [cut[:3] for cut in problem.cuts] == [("sensitivity", 0, 0), ("sensitivity", 0, 1)]
+    top = np.sqrt(1 - 2 * 0.05**2)
+    assert [cut[3] for cut in problem.cuts] == pytest.approx([top, 1.1 * top], rel=1e-4)
+    assert problem.score(NOTHING).violation == pytest.approx(np.log(peak(0.05) / 5.0), rel=1e-5)
+    assert not add_cuts(problem, NOTHING)  # now it is known
+    assert len(problem.cuts) == 2
+
+
+@pytest.mark.usefixtures("blind")
+def test_a_design_keeps_its_limit_between_the_grids_frequencies() -> None:
+    """More gain damps more and responds more; the peak is 20 at one gain, the best that the limit allows."""
+
+    def height(g: float) -> float:
+        return (1 + 9 * g) * peak(0.05 + 0.1 * g)
+
+    g = ca.SX.sym("g")
+    family = responding(0.05 + 0.1 * g, g, size=1 + 9 * g)
+    problem = GainProblem((family,), Limits(peak_sensitivity=20.0), np.zeros(1), np.ones(1), 1.0)
+    found, history = solve(problem, NOTHING, Effort())
+    known = brentq(lambda g: height(g) - 20.0, 0, 1)
+    assert found.x == pytest.approx([known], rel=1e-4)
+    assert exact_norms(family, found.x, "sensitivity")[0].value <= 20.0 * (1 + 1e-5)
+    assert "cut" in {step.stage for step in history}
+    result = summarise(problem, found, ("g",), history, "loops")
+    assert (result.status, result.success) == ("optimal", True)
+    assert result.peak_sensitivity == pytest.approx(20.0, rel=1e-5)
+    assert result.peak_control == pytest.approx(60.0, rel=1e-5)
+    assert result.static_amplification == pytest.approx(1 + 9 * known, rel=1e-4)
+    assert result.active == ("peak of S_o at loop of 1 rad/s",)
+
+
+# ---- worst mode and edge ----
+
+
+def test_the_worst_mode_is_named() -> None:
+    g = ca.SX.sym("g")
+    loops = [oscillator(z, w) for z, w in ((0.3, 2 * np.pi), (0.1 + g, 4 * np.pi), (0.2, 6 * np.pi))]
+    families = families_of([ca.Function("A", [g], [A]) for A in loops], 1)
+    problem = GainProblem(families, Limits(), -np.ones(1), np.ones(1), 1.0)
+    for gain, expected in ((0.0, ("A[1]", 2.0, 0.1)), (0.5, ("A[2]", 3.0, 0.2)), (-0.15, ("A[1]", 2.0, -0.05))):
+        found = worst_mode(problem, np.array([gain]))
+        assert found.where == expected[0]
+        assert (found.frequency_hz, found.damping) == pytest.approx(expected[1:], rel=1e-9)
+
+
+def test_a_pole_that_grows_comes_before_the_smallest_damping() -> None:
+    g = ca.SX.sym("g")
+    grows = ca.Function("A", [g], [ca.SX(np.diag([0.5, -1.0]))])
+    rings = ca.Function("A", [g], [oscillator(0.01)])
+    problem = GainProblem(families_of([rings, grows], 1), Limits(), np.zeros(1), np.ones(1), 1.0)
+    found = worst_mode(problem, NOTHING)
+    assert (found.where, found.frequency_hz, found.damping) == ("A[1]", pytest.approx(0.5 / (2 * np.pi)), -1.0)
+
+
+def test_the_nearest_edge_of_stability() -> None:
+    """Damping ``0.3 + a - 2 b`` is nothing at a = -0.3 and at b = 0.15, which is nearer."""
+    problem = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-1.0, -1.0], [1.0, 1.0])
+    found = distance_to_edge(problem, np.zeros(2), ("a", "b"))
+    assert found.gain == "b"
+    assert 0.15 <= found.change <= 0.15 * 1.011
+    down = damping_problem(lambda g: 0.3 + 3 * g[0] - 2 * g[1], [-1.0, -1.0], [1.0, 1.0])
+    found = distance_to_edge(down, np.zeros(2), ("a", "b"))
+    assert found.gain == "a"
+    assert -0.1 * 1.011 <= found.change <= -0.1
+    far = damping_problem(lambda g: 0.3 + g[0] - 2 * g[1], [-0.05, -0.05], [0.05, 0.05])
+    assert distance_to_edge(far, np.zeros(2), ("a", "b")) == Edge("", np.inf)

@@ -1,0 +1,112 @@
+"""Designs over a rectangle whose worst point is known."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import casadi as ca
+import numpy as np
+import pytest
+from gain_problems import loops_of
+
+from gbid.control.tuning.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.search.limits import ExtraLimit, Limits
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.uncertainty import Uncertainty
+from gbid.control.tuning.worst_points import TOLERANCE, add_worst_points, measure
+from gbid.lpv import Domain
+
+DOMAIN = Domain((2.0, 7.0), (0.0, 8000.0))
+CORNERS = np.array([(P, Omega) for P in DOMAIN.pressure_bar for Omega in DOMAIN.speed_rpm])
+TOP = np.array([4.37, 2345.0])
+"""Place of the bump; no node of a grid of 33 x 33."""
+
+
+def bump(P: Any, Omega: Any, exp: Any = ca.exp) -> Any:
+    """1 at `TOP`, nothing at the corners."""
+    return exp(-(((P - TOP[0]) / 0.5) ** 2) - ((Omega - TOP[1]) / 600) ** 2)
+
+
+def at_corners(loops: LoopsAtPoints, limits: Limits) -> tuple[GainProblem, LocalOptimum]:
+    problem = GainProblem((loops.family(CORNERS),), limits, np.array([-3.0]), np.array([3.0]), 1.0)
+    return problem, optimise_locally(problem, np.zeros(1))
+
+
+def asks_for_more(g: Any, s: Any) -> Any:
+    """Damping ``0.9 - 0.5 (g - h)^2 - 0.15 h`` of a bump h.
+
+    It is worst where h is 0 or 1. Both are equal for ``0.5 g^2 = 0.15 + 0.5 (1 - g)^2``, g = 0.65: 0.68875.
+    """
+    h = bump(s[0], s[1])
+    return 0.9 - 0.5 * (g - h) ** 2 - 0.15 * h
+
+
+def test_the_worst_point_inside_is_added_and_the_search_ends() -> None:
+    loops = loops_of(asks_for_more)
+    problem, found = at_corners(loops, Limits())
+    assert (found.x[0], found.score.value) == pytest.approx((0.0, 0.9), abs=1e-6)
+    told: list[Any] = []
+    best, problem, history, verified = add_worst_points(problem, found, loops, DOMAIN, told.append)
+    assert best.converged
+    assert best.x == pytest.approx([0.65], abs=1e-4)
+    assert best.score.value == pytest.approx(0.68875, abs=TOLERANCE)
+    points = problem.families[0].points
+    assert points is not None
+    np.testing.assert_array_equal(points[:4], CORNERS)
+    assert points[4] == pytest.approx(TOP, rel=5e-4)  # nearer than a twentieth of the grid's step
+    assert len(points) == 5
+    assert tuple(told) == history
+    assert [step.stage for step in history] == ["points"]
+    assert history[0].value == best.score.value
+    assert verified.startswith("eigenvalues and exact H-infinity norms of 5 loops; no point of the rectangle worse")
+    fine = np.stack(np.meshgrid(np.linspace(2, 7, 201), np.linspace(0, 8000, 201)), axis=-1).reshape(-1, 2)
+    assert measure(problem, best.x, loops, fine)[0].max() < -best.score.value + 2 * TOLERANCE
+
+
+def test_a_limit_that_a_point_inside_exceeds_holds_the_design_back() -> None:
+    """The gain that damps best, 1, may not be had where the bump allows ``exp(g h) <= exp(0.5)``: g = 0.5."""
+
+    def push(family: Any, gains: Any) -> Any:
+        return np.exp(gains[0] * bump(*family.points.T, exp=np.exp))
+
+    loops = loops_of(lambda g, _s: 0.4 - (g - 1) ** 2)
+    problem, found = at_corners(loops, Limits(extra=(ExtraLimit("push", push, float(np.exp(0.5))),)))
+    assert (found.x[0], found.score.value) == pytest.approx((1.0, 0.4), abs=1e-5)
+    table = measure(problem, found.x, loops, np.vstack([CORNERS[:1], TOP]))
+    np.testing.assert_allclose(table, [[-0.4, -0.4], [-0.4, -0.4], [-0.5, 0.5]], atol=1e-4)  # aim, slowest pole, push
+    best, problem, _, _ = add_worst_points(problem, found, loops, DOMAIN, None)
+    assert best.converged
+    assert best.x == pytest.approx([0.5], abs=2 * TOLERANCE)
+    assert best.score.value == pytest.approx(0.15, abs=2 * TOLERANCE)
+    points = problem.families[0].points
+    assert points is not None
+    assert points[-1] == pytest.approx(TOP, rel=5e-4)
+
+
+def test_the_worst_of_all_plants_counts_at_a_point() -> None:
+    samples = np.zeros((2, 14))
+    samples[:, 0] = 0.1, -0.2  # what the first key parameter is off in two plants beside the model itself
+    loops = loops_of(lambda g, s: 0.5 + g + 0.01 * s[0] + s[2], Uncertainty(samples=samples))
+    problem = GainProblem((loops.family(CORNERS),), Limits(), np.array([-3.0]), np.array([3.0]), 1.0)
+    found = measure(problem, np.array([0.1]), loops, CORNERS)
+    lowest = 0.5 + 0.1 + 0.01 * CORNERS[:, 0] - 0.2
+    np.testing.assert_allclose(found[0], -lowest, rtol=1e-9)
+    np.testing.assert_allclose(found[1], problem.slowest - lowest, rtol=1e-9)
+
+
+def test_nothing_is_added_where_no_point_is_worse() -> None:
+    loops = loops_of(lambda g, s: 0.4 - (g - 1) ** 2 - 0.01 * s[0])  # worst along the edge at 7 bar
+    problem, found = at_corners(loops, Limits())
+    best, problem, history, _ = add_worst_points(problem, found, loops, DOMAIN, None)
+    assert best is found
+    assert history == ()
+    assert len(problem.families[0]) == 4
+
+
+def test_ending_before_all_worst_points_are_in_is_no_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gbid.control.tuning.worst_points._MOST_ROUNDS", 1)
+    loops = loops_of(asks_for_more)
+    problem, found = at_corners(loops, Limits())
+    best, *_ = add_worst_points(problem, found, loops, DOMAIN, None)
+    assert not best.converged
