@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_controller_structures import own
+from own_controller import own
 
 import gbid
 from gbid.control import BiquadStructure, PStructure, controller_model, export_c, sample_controller, scheduled

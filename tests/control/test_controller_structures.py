@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from own_controller import own
 
 import gbid
 from gbid.control import (
@@ -95,18 +96,6 @@ def test_built_in_structures_keep_the_protocol_and_close_the_loop(kind: str) -> 
     assert len(starts) == len(structure.parameters)
     loop = gbid.close_loop(gbid.load_model("theisen2016").plant_at(6, 0), controller_model(structure, starts))  # type: ignore[arg-type]
     assert loop.is_stable()
-
-
-def lead(p: dict[str, ca.SX]) -> dict[str, object]:
-    pole = 2 * np.pi * 800.0
-    eye = ca.SX.eye(2)
-    return {"A": -pole * eye, "B": pole * eye, "C": -p["high"] * eye, "D": (p["low"] + p["high"]) * eye}
-
-
-def own() -> gbid.LinearStructure:
-    return gbid.LinearStructure(
-        "lead", [gbid.Parameter("low", 1.0, 0, 3), gbid.Parameter("high", 0.5, -3, 3)], lead, "p", "r"
-    )
 
 
 def test_structure_of_ones_own() -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from loop_cases import MACHINE, PAPER, static
 from scipy.optimize import minimize
-from test_sensitivity import MACHINE, PAPER, static
 
 import gbid
 from gbid.control import (

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loop_cases import MACHINE, PAPER, static
 
 import gbid
 from gbid.control import exact_plant, p_controller, peak_gain, sensitivity_data
@@ -14,18 +15,10 @@ from gbid.errors import UsageError
 from gbid.structure import LinearModel
 
 NAMES = ("output", "input", "control", "plant", "complementary")
-MACHINE = gbid.load_model("theisen2016")
-PAPER = p_controller(1.125, 0.99)
 
 
 def second_order(w: float, zeta: float) -> LinearModel:
     return LinearModel([[0, 1], [-(w**2), -2 * zeta * w]], [[0], [w**2]], [[1, 0]], [[0]])
-
-
-def static(D: object) -> LinearModel:
-    D = np.atleast_2d(np.asarray(D, float))
-    n_r, n_p = D.shape
-    return LinearModel(np.zeros((0, 0)), np.zeros((0, n_p)), np.zeros((n_r, 0)), D)
 
 
 def random_stable(rng: np.random.Generator, n: int, n_u: int, n_y: int, dt: float | None, D: float) -> LinearModel:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shaken_rig import TRUE, shaken
 
 import gbid
 from gbid.errors import UsageError
@@ -13,20 +14,8 @@ from gbid.identify.nlp.hessian import ExactHessian, held_up
 from gbid.identify.nlp.nlp_problem import build_problem
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.other_gains import FOUND, SUSPECTED, lower_elsewhere
-from gbid.rig import FilmStiffening, Machine, Prbs, ProcessNoise, SensorChain, Unbalance, record
+from gbid.rig import FilmStiffening, ProcessNoise
 from gbid.structure import evaluate
-
-PUBLISHED = gbid.load_model("theisen2016")
-TRUE = PUBLISHED.key_parameters(6.0, 0.0)
-NO_RUNOUT = SensorChain(
-    runout_amplitude=np.zeros((2, 1)), runout_phase=np.zeros((2, 1)), offset_p=(0.0, 0.0), offset_u=(0.0, 0.0)
-)
-
-
-def shaken(seed=3, seconds=5.0, sensors=NO_RUNOUT, **effects):
-    machine = Machine.from_parameters(TRUE, PUBLISHED.actuators, Unbalance(), sensors, **effects)
-    conditions = {"pressure_bar": 6.0, "speed_rpm": 0.0}
-    return record(machine, Prbs(seconds), conditions=conditions, seed=seed, name=f"run-{seed}")
 
 
 @pytest.fixture(scope="module")

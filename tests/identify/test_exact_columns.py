@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from fit_cases import H, levels
 from scipy.signal import lfilter
-from test_adjoint import problem
+from shooting_problem import problem
 
 from gbid.identify import fit
 from gbid.identify.nlp.one_window import in_one_window

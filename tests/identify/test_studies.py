@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from shaken_rig import NO_RUNOUT, shaken
 from study_rig import CAMPAIGN, POINTS, prefiltered, truth_at, with_coloured_noise
-from test_coloured import NO_RUNOUT, shaken
 
 from gbid.identify import fit
 from gbid.rig import FilmStiffening, ProcessNoise

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from places import ROOT
 from ruamel.yaml import YAML
+from still_rig import EXACT, FIXED, recorded
 from study_rig import CAMPAIGN, PAPER, POINTS, machine_at
-from test_lpv_direct import EXACT, FIXED, recorded
 
 import gbid
 from gbid.rig import Prbs, Scatter, Stationary, record

@@ -1,0 +1,37 @@
+"""A fit as a shooting problem whose errors are as large as can be."""
+
+from fit_cases import KEY, TS, levels, smooth
+
+import gbid
+from gbid.identify.data import gather
+from gbid.identify.nlp.assembly import assemble
+from gbid.identify.nlp.nlp_problem import build_problem
+
+BEGIN = {**KEY, "bd_xx": 2e4, "bd_xy": -3e3, "bd_yx": 5e3, "bd_yy": 1e4}
+
+
+def recording(name, n, seed):
+    u = 4e-6 * levels(n, 2, seed=seed)
+    p = 1e-6 * smooth(n, 2, seed=seed + 50)  # no answer to u: the errors are as large as can be
+    channels = {"u": ("x", "y"), "p": ("x", "y")}
+    return gbid.Recording({"u": u, "p": p}, TS, name=name, units={"u": "m", "p": "m"}, channels=channels)
+
+
+def problem(engine="numpy", criterion="trace", **options):
+    recordings = [recording("a", 900, 1), recording("b", 1300, 2)]
+    structure = gbid.RotorBearing()
+    data = gather(recordings, ("u",), ("p",), minimum=50)
+    settings = {"offsets": False, "local": {}, "left_out": {"b": [(700, 900)]}, "window": 100, **options}
+    assembly = assemble(
+        structure,
+        structure.parameters,
+        BEGIN,
+        data,
+        intersample="foh",
+        focus="prediction",
+        horizon=1,
+        engine=engine,
+        **settings,
+    )
+    begin = {q.name: BEGIN.get(q.name.partition("[")[0], 1e-7) for q in assembly.free}
+    return build_problem(assembly, data, criterion, [1.0, 2.0], begin, {"k_xx": (-6e5, 1e3)}, scaling=True)
