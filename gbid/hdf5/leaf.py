@@ -37,7 +37,7 @@ class Context:
     lengths: dict[str, int] = field(default_factory=dict)
     keys: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
-    def check(self, shape: tuple[int, ...], expected: tuple[str, ...] | None, what: str) -> None:
+    def check(self, shape: tuple[int, ...], expected: tuple[str, ...] | None, what: Callable[[], str]) -> None:
         """Refuse a shape that does not fit to what was declared and met so far."""
         if expected is None:
             return
@@ -49,7 +49,7 @@ class Context:
                     self.lengths.setdefault(word, length)
         lengths = [int(word) if word.isdigit() else self.lengths.get(word, word) for word in expected]
         if len(shape) != len(lengths) or any(a not in (b, "*") for a, b in zip(lengths, shape, strict=True)):
-            raise ValueError(f"{what} has shape {shape}, expected ({', '.join(map(str, lengths))})")
+            raise ValueError(f"{what()} has shape {shape}, expected ({', '.join(map(str, lengths))})")
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,10 @@ class Leaf:
     def put(self, group: h5py.Group, name: str, values: Any, context: Context) -> None:
         """Write values that are encoded already."""
         array = np.array(values, dtype=object) if self.kind == "U" else np.asarray(values)
-        array = self._typed(array, where(group, name))
+        array = self._typed(array, lambda: where(group, name))
         if not array.size and self.shape:
             array = array.reshape((*array.shape, *(0,) * (len(self.shape) - array.ndim)))
-        context.check(array.shape, self.shape, where(group, name))
+        context.check(array.shape, self.shape, lambda: where(group, name))
         if self.is_dataset:
             unit, words = self.stored.unit, self.stored.long_name or name.replace("_", " ")
             options: dict[str, Any] = {"dtype": TEXT} if self.kind == "U" else {}
@@ -107,23 +107,21 @@ class Leaf:
         """Read the array that the value is built from; a single number or text for the shape ()."""
         if self.is_dataset:
             array = read_dataset(group, name, texts=self.kind == "U")
-            what = where(group, name)
         else:
             path, attribute = attribute_of(name)
             item = group[path] if path else group
             array = np.asarray(read_attribute(item, attribute))
-            what = f"attribute {attribute!r} of {item.name}"
-        array = self._typed(array, what)
-        context.check(array.shape, self.shape, what)
+        array = self._typed(array, lambda: where(group, name))
+        context.check(array.shape, self.shape, lambda: where(group, name))
         return array if self.shape != () else array.item()
 
-    def _typed(self, array: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
+    def _typed(self, array: npt.NDArray[Any], what: Callable[[], str]) -> npt.NDArray[Any]:
         if self.kind == "U":
             if array.dtype.kind == "U" or (array.dtype.kind == "O" and all(isinstance(t, str) for t in array.flat)):
                 return array.astype(object)
         elif array.dtype.kind in _TAKEN[self.kind] or not array.size:
             return array.astype(_DTYPES[self.kind], copy=False)
-        raise DamagedError(f"{what} holds {array.dtype}, not {_WORDS[self.kind]}")
+        raise DamagedError(f"{what()} holds {array.dtype}, not {_WORDS[self.kind]}")
 
 
 def attribute_of(place: str) -> tuple[str, str]:
