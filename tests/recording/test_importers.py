@@ -390,7 +390,7 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
         refused(tmp_path / f"none.{kind}", mapping, "cannot be read: No such file")
     (tmp_path / "dir.csv").mkdir()
     refused(tmp_path / "dir.csv", mapping, "directory")
-    refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of .csv, .npz, .mat")
+    refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of .csv, .mat, .npz")
     refused(tmp_path / "a", mapping, "unknown file ending ''")
 
 

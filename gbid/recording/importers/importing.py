@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +13,11 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.recording.importers.columns import Column
-from gbid.recording.importers.csv_file import read_csv
+from gbid.recording.importers.file_format import FileFormat
+from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
-from gbid.recording.importers.mat_file import read_mat
-from gbid.recording.importers.npz_file import read_npz
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS, conversion_factor
-
-Reader = Callable[[Path, Sequence[str]], dict[str, Column]]
-
-READERS: dict[str, Reader] = {".csv": read_csv, ".npz": read_npz, ".mat": read_mat}
-"""Reader of each file ending."""
 
 MAX_JITTER = 0.01
 """Largest relative deviation of a time step from the median step; a larger one is a jump of the clock."""
@@ -57,7 +51,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         value.
     """
     path = Path(path)
-    reader = file_reader(path)
+    reader = file_format(path).read
     try:
         mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
     except UsageError as error:
@@ -93,18 +87,19 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         raise DataError(f"{path}: {error}") from None
 
 
-def file_reader(path: Path) -> Reader:
-    """Return the reader of a file, chosen by its ending.
+def file_format(path: Path) -> FileFormat:
+    """Return the format of a file, chosen by its ending.
 
     Raises
     ------
     DataError
         When the ending is unknown.
     """
-    reader = READERS.get(path.suffix.lower())
-    if reader is None:
-        raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(READERS)}")
-    return reader
+    known = file_formats()
+    found = known.get(path.suffix.lower())
+    if found is None:
+        raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
+    return found
 
 
 def _range(path: Path, mapping: ImportMapping, columns: dict[str, Column]) -> tuple[int, int]:

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gbid.errors import DataError
-from gbid.recording.importers.csv_file import peek_csv
-from gbid.recording.importers.importing import file_reader, time_factor
+from gbid.recording.importers.importing import file_format, time_factor
 from gbid.recording.importers.mapping import ImportMapping
 
 
@@ -51,10 +50,11 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         When the unit of the time column is not a unit of time.
     """
     try:
-        if path.suffix.lower() == ".csv":
-            n, columns = peek_csv(path, mapping.all_columns())
+        kind = file_format(path)
+        if kind.peek is not None:
+            n, columns = kind.peek(path, mapping.all_columns())
         else:
-            columns = file_reader(path)(path, mapping.all_columns())
+            columns = kind.read(path, mapping.all_columns())
             lengths = {name: len(column.values) for name, column in columns.items()}
             n = next(iter(lengths.values()))
             if set(lengths.values()) != {n}:

@@ -7,7 +7,7 @@ from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import Found
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.recording import ImportMapping
-from gbid.recording.importers.importing import READERS
+from gbid.recording.importers.formats import file_formats
 
 
 def data_can_be_read(experiment: Experiment) -> Found:
@@ -28,8 +28,8 @@ def data_can_be_read(experiment: Experiment) -> Found:
             continue  # all files of a folder share one mapping
         told.add(str(here))
         here_file = (*here, "file") if listed else here
-        if path.suffix.lower() not in READERS:
-            yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(READERS)}"
+        if path.suffix.lower() not in file_formats():
+            yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(file_formats())}"
         elif folder.is_dir() and not path.is_file():
             yield here_file, f"no file {path}; put it there, or correct the name or data_folder"
         try:

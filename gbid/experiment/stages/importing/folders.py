@@ -21,7 +21,7 @@ from gbid.experiment.stages.importing.schema import (
     ImportSection,
     TableSection,
 )
-from gbid.recording.importers.importing import READERS
+from gbid.recording.importers.formats import file_formats
 
 POINT = ("pressure_bar", "speed_rpm")
 _NAMED = 5  # files that fit no pattern and are named; of more, the number
@@ -111,15 +111,17 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         yield f"{section.pattern!r} has no field {name}; write {{{name}:g}}, or remove it from more_conditions"
         return
     suffix = Path(section.pattern).suffix.lower()
-    if suffix not in READERS:
-        yield f"{section.pattern!r}: unknown ending {suffix!r}; expected one of {', '.join(READERS)}"
+    if suffix not in file_formats():
+        yield f"{section.pattern!r}: unknown ending {suffix!r}; expected one of {', '.join(file_formats())}"
         return
     point = _missing_point(section, pattern.numbers)
     if point:
         yield f"{section.pattern!r} has no field {point}; write {{{point}:g}} into it, or give it in conditions"
         return
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
-    there = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in READERS), key=_by_count)
+    there = sorted(
+        (p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in file_formats()), key=_by_count
+    )
     seen = [name for name in there if not any(fnmatchcase(name, p) for p in section.ignore or ()) and name not in skip]
     strangers = []
     matched = 0
@@ -174,8 +176,8 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
             faults.append(f"{where}: file is empty; name the file, or remove the line")
         elif not (folder / row["file"]).is_file():
             faults.append(f"{where}: no file {folder / row['file']}; put it there, or remove the line")
-        elif Path(row["file"]).suffix.lower() not in READERS:
-            faults.append(f"{where}: file {row['file']}: unknown ending; expected one of {', '.join(READERS)}")
+        elif Path(row["file"]).suffix.lower() not in file_formats():
+            faults.append(f"{where}: file {row['file']}: unknown ending; expected one of {', '.join(file_formats())}")
         yield from faults
         if not faults:
             name = row.get("name") or Path(row["file"]).stem

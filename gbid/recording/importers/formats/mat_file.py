@@ -12,6 +12,7 @@ import numpy as np
 
 from gbid.errors import DataError
 from gbid.recording.importers.columns import Column, pick_column, split_reference
+from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 
@@ -93,3 +94,6 @@ def _shaped(value: Any, stored: h5py.Group | h5py.Dataset) -> Any:
     if number and stored.dtype.kind in "fiu" and np.size(value) == stored.size:
         return np.reshape(value, stored.shape[::-1])
     return value
+
+
+FORMAT = FileFormat((".mat",), read_mat)

@@ -13,6 +13,7 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.recording.importers.columns import Column
+from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
@@ -176,3 +177,6 @@ def _numbers(path: Path, name: str, cells: list[str], lines: list[int]) -> Float
         raise DataError(f"{where} the cell is empty; leave those samples out or repair them")
     hint = "; write decimals with a point" if _is_number(cells[row].replace(",", ".")) else ""
     raise DataError(f"{where} {cells[row]!r} is not a number{hint}")
+
+
+FORMAT = FileFormat((".csv",), read_csv, peek_csv)

@@ -11,6 +11,7 @@ import numpy as np
 
 from gbid.errors import DataError
 from gbid.recording.importers.columns import Column, pick_column, split_reference
+from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 
@@ -47,3 +48,6 @@ def read_npz(path: Path, references: Sequence[str]) -> dict[str, Column]:
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"{path}: damaged npz archive: {error}") from None
     return columns
+
+
+FORMAT = FileFormat((".npz",), read_npz)

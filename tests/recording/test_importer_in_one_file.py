@@ -1,0 +1,87 @@
+"""A new importer is one file in a room: import, check, folder patterns and messages find it there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.errors import DataError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.problems import ExperimentError
+from gbid.recording.importers import formats
+from gbid.recording.importers.formats import file_formats
+
+FORMAT = '''
+"""Reader of text files with columns of fixed width, named in the first line."""
+
+from gbid.errors import DataError
+from gbid.recording.importers.columns import Column
+from gbid.recording.importers.file_format import FileFormat
+
+
+def read_dat(path, references):
+    import numpy as np
+
+    names = path.read_text(encoding="utf-8").splitlines()[0].split()
+    values = np.loadtxt(path, skiprows=1, ndmin=2)
+    for name in references:
+        if name not in names:
+            raise DataError(f"{path}: no column {name!r}; there is {', '.join(names)}")
+    return {name: Column(values[:, names.index(name)]) for name in references}
+
+
+FORMAT = FileFormat((".dat", ".prn"), read_dat)
+'''
+MAPPING = {"sample_time_s": 1e-3, "signals": {"force": {"columns": ["f"], "unit": "N"}}}
+IMPORT = """\
+format: 1
+name: own
+import:
+  data_folder: data
+  recordings:
+    - {name: one, file: one.dat, sample_time_s: 1.0e-3, signals: {force: {columns: [f], unit: N}}}
+"""
+
+
+@pytest.fixture
+def dat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    folder = tmp_path / "room"
+    folder.mkdir()
+    (folder / "fixed_width.py").write_text(FORMAT, encoding="utf-8")
+    monkeypatch.setattr(formats, "__path__", [*formats.__path__, str(folder)])
+    file_formats.cache_clear()
+    yield
+    file_formats.cache_clear()
+
+
+@pytest.fixture
+def measured(tmp_path: Path) -> Path:
+    path = tmp_path / "data" / "one.dat"
+    path.parent.mkdir()
+    path.write_text("t   f\n" + "".join(f"{k}   {0.5 * k}\n" for k in range(200)), encoding="utf-8")
+    return path
+
+
+def test_it_is_imported(dat, measured: Path) -> None:
+    recording = gbid.import_recording(measured, MAPPING)
+    np.testing.assert_array_equal(recording.signal("force")[:, 0], 0.5 * np.arange(200))
+    wrong = {**MAPPING, "signals": {"force": {"columns": ["g"], "unit": "N"}}}
+    with pytest.raises(DataError, match=r"one\.dat: no column 'g'; there is t, f"):
+        gbid.import_recording(measured, wrong)
+
+
+def test_an_experiment_reads_it(dat, measured: Path, tmp_path: Path) -> None:
+    path = tmp_path / "own.yaml"
+    path.write_text(IMPORT, encoding="utf-8")
+    assert [planned.name for planned in load_experiment(path).recordings.values()] == ["one"]
+
+
+def test_without_the_file_it_is_unknown(measured: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"unknown file ending '\.dat'; expected one of \.csv, \.mat, \.npz"):
+        gbid.import_recording(measured, MAPPING)
+    path = tmp_path / "own.yaml"
+    path.write_text(IMPORT, encoding="utf-8")
+    with pytest.raises(ExperimentError, match=r"unknown ending '\.dat'"):
+        load_experiment(path)
+    assert ".dat" not in file_formats()
