@@ -1,15 +1,15 @@
-"""What verbs show of each stage: plain documents for programs, tables of them for people."""
+"""Views of the stages that come with gbid; their tables are those of the report."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from gbid.cli import documents as of
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.stage import Stage
+from gbid.experiment.run.view import Document, View, outcomes_view
 from gbid.report.tables.fit_tables import fit_tables
 from gbid.report.tables.impact_tables import impact_tables
 from gbid.report.tables.lpv_tables import lpv_table
@@ -17,43 +17,14 @@ from gbid.report.tables.recording_tables import prefilter_table, recording_table
 from gbid.report.tables.static_tables import static_table
 from gbid.report.tables.tuning_tables import tuning_tables
 from gbid.report.tables.validation_tables import crossval_table, nominal_table, validation_table
-from gbid.tables.table import Column, Table
+from gbid.tables.table import Table
 
-Document = Mapping[str, Any]
 _ROWS = 60  # of a cross-validation; more are in its CSV file only
 
 
-@dataclass(frozen=True)
-class View:
-    """What is shown of a stage.
-
-    Attributes
-    ----------
-    document : callable
-        Entries of the JSON document, from the outcomes of a run; those of other stages are left out.
-    tables : callable
-        Tables of these entries.
-    """
-
-    document: Callable[[Job, Sequence[Outcome]], Document]
-    tables: Callable[[Document], Iterable[Table]]
-
-
 def view_of(stage: Stage) -> View:
-    """Return the view of a stage; one that has no view of its own shows its outcomes."""
-    return VIEWS.get(stage.name) or View(
-        lambda _, outcomes: {stage.section: [_row(o) for o in outcomes if o.stage == stage.name]},
-        lambda document: _outcome_tables(stage.name, document[stage.section]),
-    )
-
-
-def _row(outcome: Outcome) -> dict[str, str]:
-    return {"item": outcome.item, "state": outcome.state, "text": outcome.text, "path": str(outcome.path)}
-
-
-def _outcome_tables(title: str, rows: Sequence[Mapping[str, str]]) -> list[Table]:
-    columns = [Column("item"), Column("state"), Column("text", wrap=True)]
-    return [Table(title, columns, [[row[c.name] for c in columns] for row in rows])] if rows else []
+    """Return the view of a stage; one that has none shows its outcomes."""
+    return stage.view or VIEWS.get(stage.name) or outcomes_view(stage.name, stage.section)
 
 
 def _recordings(job: Job, outcomes: Sequence[Outcome]) -> Document:

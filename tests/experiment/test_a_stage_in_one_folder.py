@@ -5,7 +5,7 @@ import json
 import pytest
 from experiment_files import gbid, write_spring
 from peak_stage.schema import FileWithPeaks
-from peak_stage.stage import PEAK
+from peak_stage.stage import PEAK, SHOWN_PEAK
 
 from gbid.experiment import json_schema, load
 from gbid.experiment.load import load_experiment
@@ -81,3 +81,13 @@ def test_its_failures_are_remembered(tmp_path, capsys):
     assert "failed before; --retry tries again" in err
     _, outcomes, _ = peaks_of(path, capsys, "--retry", code=3)
     assert not any(o["failed_before"] for o in outcomes)
+
+
+def test_its_view_is_shown(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(registry, "STAGES", (*registry.STAGES[:-1], SHOWN_PEAK))
+    path = write(tmp_path)
+    shown, _, _ = peaks_of(path, capsys)
+    assert [row["recording"] for row in shown] == ["run1", "run2"]
+    assert all(row["peak"] == pytest.approx(1.0) for row in shown)  # the drive switches between -1 and 1 V
+    assert gbid("run", path) == 0
+    assert ["run2", "1.00"] in [line.split() for line in capsys.readouterr().out.splitlines()]

@@ -9,6 +9,7 @@ from gbid.experiment.experiment import Check
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import run_tasks
+from gbid.experiment.run.view import View
 
 Work = Sequence[Task | Outcome]
 """Tasks, and outcomes of items that need none, because nothing can be done for them."""
@@ -32,6 +33,9 @@ class Stage:
         Work that starts from what the stage has made so far, as tables of its results; one after the other.
     early : bool
         Whether its tasks are known before any other stage has run. These stages make a campaign.
+    view : View, optional
+        What verbs show of it. Those of gbid's own stages are in `gbid.cli.views`, above the tables of the report.
+        A stage without one shows its outcomes.
     """
 
     name: str
@@ -40,6 +44,7 @@ class Stage:
     tasks: Callable[[Job], Work]
     then: tuple[Callable[[Job, Sequence[Outcome]], Work], ...] = ()
     early: bool = False
+    view: View | None = None
 
 
 def run_stage(job: Job, stage: Stage) -> list[Outcome]:

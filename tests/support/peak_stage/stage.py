@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from gbid.experiment.recordings import load_made, recording_key
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.stage import Stage
+from gbid.experiment.run.view import Document, View
+from gbid.tables.table import Column, Table
 from peak_stage.checks import peaks_have_recordings
 from peak_stage.schema import peaks_of
 
@@ -55,4 +58,17 @@ def _write_count(job: Job, _item: str, part: Path) -> None:
     part.write_text(f"# content_key: {content_key('count', {'n': count})}\n{count}\n", encoding="utf-8")
 
 
+def _document(_: Job, outcomes: Sequence[Outcome]) -> Document:
+    """Peaks by recording."""
+    own = [o for o in outcomes if o.stage == "peak" and o.state != "failed" and o.item != "count"]
+    return {"peaks": [{"recording": o.item, "peak": float(o.path.read_text().splitlines()[1])} for o in own]}
+
+
+def _tables(document: Document) -> list[Table]:
+    rows = [[row["recording"], row["peak"]] for row in document["peaks"]]
+    return [Table("peaks", [Column("recording"), Column("peak", format=3)], rows)]
+
+
 PEAK = Stage("peak", "peaks", (peaks_have_recordings,), peak_tasks, (count_task,))
+SHOWN_PEAK = replace(PEAK, view=View(_document, _tables))
+"""The same with a view of its own."""
