@@ -31,7 +31,7 @@ from gbid.recording import Recording
 from gbid.report.reader.designs import AssessedDesign, assessed_designs, assessed_published
 from gbid.report.reader.fits import MadeFit, read_fit
 from gbid.report.reader.signals import RecordingSignals, read_signals
-from gbid.report.reader.standings import Standing, Stored, read_standings, read_tasks
+from gbid.report.reader.standings import StageResults, Standing, read_standings, read_tasks
 from gbid.report.tables.fit_document import Row
 from gbid.report.tables.recording_tables import prefilter_rows
 from gbid.validate import NominalActuator, ValidationSummary
@@ -165,7 +165,7 @@ class Results:
     # ------------------------------------------------------------ static characterisation
 
     @cached_property
-    def statics(self) -> Stored[StaticMap | PiezoCurve]:
+    def statics(self) -> StageResults[StaticMap | PiezoCurve]:
         """Static characterisations."""
         return read_tasks(self.job, static_tasks(self.job), "gbid static", lambda t: load_made_static(self.job, t.item))
 
@@ -195,12 +195,12 @@ class Results:
     # ------------------------------------------------------------ designs and impacts
 
     @cached_property
-    def designs(self) -> Stored[TunedDesign]:
+    def designs(self) -> StageResults[TunedDesign]:
         """Tuned designs."""
         try:
-            return Stored(*read_designs(self.job))
+            return StageResults(*read_designs(self.job))
         except GbidError as error:
-            return Stored({}, dict.fromkeys(self.experiment.spec.controller, str(error)))
+            return StageResults({}, dict.fromkeys(self.experiment.spec.controller, str(error)))
 
     @property
     def tuned(self) -> Mapping[str, TunedDesign]:
@@ -225,16 +225,18 @@ class Results:
         return next((model for model in models if model.actuators), None)
 
     @cached_property
-    def studies(self) -> Stored[ImpactStudy]:
+    def studies(self) -> StageResults[ImpactStudy]:
         """Impact studies; loops whose controller is not there are among the missing."""
         if self.experiment.spec.impacts is None:
-            return Stored({}, {})
+            return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
             found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda task: load_impacts(task.path))
         except UsageError as error:  # the controller or model that they need is not there
-            return Stored({}, {"impacts": str(error)})
-        return Stored(found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing})
+            return StageResults({}, {"impacts": str(error)})
+        return StageResults(
+            found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
+        )
 
     @property
     def loops(self) -> list[dict[str, ImpactStudy]]:

@@ -40,8 +40,8 @@ class Standing:
 
 
 @dataclass(frozen=True, eq=False)
-class Stored(Generic[Value]):
-    """Results of one stage.
+class StageResults(Generic[Value]):
+    """Results of one stage: those that are there, and why others are not.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ def _standing(job: Job, task: Task) -> Standing:
     return Standing(task.stage, task.item, state, outcome.text, outcome.converged)
 
 
-def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task], Value]) -> Stored[Value]:
+def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task], Value]) -> StageResults[Value]:
     """Load the results of tasks that are there, and say of the others why they are not.
 
     Parameters
@@ -96,4 +96,4 @@ def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task]
                 found[task.item] = load(task)
         except GbidError as error:
             missing[task.item] = str(error)
-    return Stored(found, missing)
+    return StageResults(found, missing)
