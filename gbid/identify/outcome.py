@@ -139,7 +139,7 @@ def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) 
     """Errors in the order of the records' samples, (n_samples, n_y) each, left-out samples zero."""
     by_window: dict[int, FloatArray] = {}
     for e, part, first in zip(errors, problem.parts, problem.first_window[:-1], strict=True):
-        for window, rows in zip(part.blocks.segment_first, part.blocks.by_piece(e), strict=True):
+        for window, rows in zip(part.blocks.segment_first, part.blocks.by_segment(e), strict=True):
             by_window[int(first + window)] = rows
     following = {int(a): int(b) for a, b in problem.links}
     records = []

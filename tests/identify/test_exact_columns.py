@@ -8,7 +8,7 @@ from shooting_problem import problem
 
 from gbid.identify import fit
 from gbid.identify.nlp.one_window import in_one_window
-from gbid.identify.uncertainty.over_records import by_piece, information_over_records
+from gbid.identify.uncertainty.information import information_over_records
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -28,15 +28,13 @@ def test_the_observed_information_is_the_slope_of_the_gradient(options):
     starts = passed_on(joined, theta, starts)
     weight = joined.weight(joined.error_products(joined.values(theta), starts))
 
-    fine = by_piece(joined, 100)
-
     def gradient(moved):
         at, begun = theta + moved[:n_p], starts.copy()
         begun[first] += moved[n_p:].reshape(len(first), -1)
-        found = information_over_records(joined, fine, at, passed_on(joined, at, begun), first, weight, scores=True)
+        found = information_over_records(joined, 100, at, passed_on(joined, at, begun), first, weight)
         return sum(scores.sum(axis=0) for scores in found.scores)
 
-    found = information_over_records(joined, fine, theta, starts, first, weight, observed=True)
+    found = information_over_records(joined, 100, theta, starts, first, weight, observed=True)
     steps = 1e-5 / np.sqrt(np.diag(found.hessian))
     expected = np.array([(gradient(s) - gradient(-s)) / (2 * s.max()) for s in np.diag(steps)])
     size = np.sqrt(np.outer(np.diag(found.hessian), np.diag(found.hessian)))

@@ -393,7 +393,7 @@ def test_the_predictor_some_steps_ahead(horizon, hold):
     predictor = build_predictor(EVERY, {}, H, hold, "prediction", horizon=horizon)
     theta = np.array([EVERY_AT[q.name] for q in predictor.free])
     blocks = cut(fit_data([(u, y)]), predictor, None, longest_block=32)
-    found = y[horizon - 1 :] - blocks.by_piece(residuals(predictor.at(theta), blocks, x0[None]))[0]
+    found = y[horizon - 1 :] - blocks.by_segment(residuals(predictor.at(theta), blocks, x0[None]))[0]
     expected = looking_ahead(EVERY, EVERY_AT, u, y, x0, hold, horizon)
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-11)
     if horizon == 1:

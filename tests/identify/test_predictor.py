@@ -29,7 +29,7 @@ def predictions(predictor, values, u, y, x0, h=H):
     data = fit_data([(u, y)], h)
     blocks = cut(data, predictor, None)
     error = residuals(predictor.at(theta_of(predictor, values)), blocks, np.atleast_2d(x0))
-    return y - blocks.by_piece(error)[0]
+    return y - blocks.by_segment(error)[0]
 
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])

@@ -116,7 +116,7 @@ def test_residuals_are_the_errors_in_the_order_of_the_samples(size):
     c = case(*SIZES[size])
     error = residuals(c.predictor.at(c.theta), c.blocks, c.starts)
     assert error.shape == c.blocks.y.shape
-    rows = c.blocks.by_piece(error)
+    rows = c.blocks.by_segment(error)
     assert [len(r) for r in rows] == [record.n_samples for record in c.data.records]
     np.testing.assert_allclose(np.concatenate(rows), by_hand(c, np.eye(2)).errors, rtol=1e-9, atol=1e-10)
     assert not error.transpose(0, 1, 3, 2)[c.blocks.used == 0].any()

@@ -121,7 +121,7 @@ class Blocks:
             self._regressors[shift] = _in_groups(parts, self.length, self.lanes)
         return self._regressors[shift]
 
-    def by_piece(self, values: FloatArray) -> list[FloatArray]:
+    def by_segment(self, values: FloatArray) -> list[FloatArray]:
         """Put values in blocks, (n_groups, length, n, lanes), back into one (n_samples, n) array per segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
         result = []

@@ -118,7 +118,7 @@ def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transitio
 def from_starts(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> Prediction:
     """States and errors from the windows' starts (n_windows, n)."""
     run = engine or run_with_numpy
-    return run.predict(v, blocks, _block_starts(v, blocks, starts, powers_of(v.F, blocks.length)[-1], run))
+    return run.predict(v, blocks, starts_of_blocks(v, blocks, starts, powers_of(v.F, blocks.length)[-1], run))
 
 
 def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> FloatArray:
@@ -126,9 +126,10 @@ def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: Pa
     return from_starts(v, blocks, starts, engine).errors
 
 
-def _block_starts(
+def starts_of_blocks(
     v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray, run: PassEngine
 ) -> FloatArray:
+    """State at the start of every block, (n, W), from the windows' starts (n_windows, n)."""
     at_rest = np.zeros((len(v.F), len(blocks.size)))
     if blocks.per_window > 1:
         return block_starts(blocks, starts, run.predict(v, blocks, at_rest).end, transition)
@@ -156,25 +157,27 @@ def sweep(
     -------
     Sweep
     """
-    powers = powers_of(v.F, blocks.length)
-    sums, free = block_sums(v, blocks, starts, weight, powers, engine)
+    powers, run = powers_of(v.F, blocks.length), engine or run_with_numpy
+    begin = starts_of_blocks(v, blocks, starts, powers[-1], run)
+    sums, free = block_sums(v, blocks, begin, weight, powers, run)
     return joined(blocks, sums, start_hessians(blocks, free), link(blocks, sums.end_theta, powers))
 
 
 def block_sums(
     v: PredictorValues,
     blocks: Blocks,
-    starts: FloatArray,
+    begin: FloatArray,
     weight: FloatArray,
     powers: FloatArray,
-    engine: PassEngine | None = None,
+    run: PassEngine,
 ) -> tuple[BlockSums, FloatArray]:
-    """Run the engine over all blocks; also return the weighted response to a start, (length, n_y, n)."""
-    run = engine or run_with_numpy
-    x0 = _block_starts(v, blocks, starts, powers[-1], run)
+    """Run the engine over all blocks from where they begin; also return the weighted response to a start.
+
+    `begin` is (n, W); the response is (length, n_y, n).
+    """
     root = np.linalg.cholesky(weight).T  # W = root' root
     free = np.ascontiguousarray(root @ v.C @ powers[:-1])
-    return run(v, blocks, np.ascontiguousarray(x0.T), np.ascontiguousarray(root), free), free
+    return run(v, blocks, np.ascontiguousarray(begin.T), np.ascontiguousarray(root), free), free
 
 
 def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:

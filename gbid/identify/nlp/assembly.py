@@ -121,7 +121,7 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
-    segments = [_pieces(record, left_out.get(record.name, ()), predictor) for record in data.records]
+    segments = [_stretches(record, left_out.get(record.name, ()), predictor) for record in data.records]
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
@@ -214,7 +214,7 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
     return tuple(found.values())
 
 
-def _pieces(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[_Stretch]:
+def _stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[_Stretch]:
     """Cut a record at what is left out.
 
     Without feedback of the outputs the model runs through and those samples just do not count. With feedback
@@ -335,10 +335,10 @@ class _Builder:
         return [predictor.at(theta), predictor.at(nudged)]
 
 
-def _links(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
+def _links(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
     """Neighbouring windows within each segment, and over the edges of the segments of one record."""
     links, i = [], 0
-    for count in pieces_of:
+    for count in counts:
         for j in range(count):
             first, last = windows[i + j]
             links += [(w, w + 1) for w in range(first, last)]
@@ -348,6 +348,6 @@ def _links(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
     return np.array(links, dtype=np.int64).reshape(-1, 2)
 
 
-def _record_windows(windows: list[tuple[int, int]], pieces_of: list[int]) -> IntArray:
-    firsts = np.cumsum([0, *pieces_of[:-1]])
+def _record_windows(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
+    firsts = np.cumsum([0, *counts[:-1]])
     return np.array([windows[i][0] for i in firsts])

@@ -34,9 +34,9 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
             for part, first in zip(problem.parts, problem.first_window[:-1], strict=True)
         ]
     )
-    piece_of = np.searchsorted(firsts, np.arange(problem.n_windows), side="right") - 1
+    segment_of = np.searchsorted(firsts, np.arange(problem.n_windows), side="right") - 1
     between = np.isin(problem.links[:, 1], firsts)  # a segment is entered only at its first window
-    links = piece_of[problem.links[between]].reshape(-1, 2)
+    links = segment_of[problem.links[between]].reshape(-1, 2)
     n, n_t = problem.n_states, problem.n_theta
     starts = (n_t + firsts[:, None] * n + np.arange(n)).ravel()
     joined = replace(problem, parts=parts, links=links, _last={}, _met={})

@@ -9,7 +9,7 @@ import numpy as np
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.uncertainty.over_records import by_piece, information_over_records
+from gbid.identify.uncertainty.information import information_over_records
 from gbid.identify.whiteness import correlation_length
 
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
@@ -98,22 +98,21 @@ def covariance(
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
     block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
     block = max(block, min(problem.n_samples // _MOST_BLOCKS, LONGEST_BLOCK))
-    fine = by_piece(problem, block)
-    at = theta, starts, record_window
-    first = information_over_records(problem, fine, *at, weight, scores=True, observed=coloured)
     shaped = weight @ (error_products / freedom) @ weight
-    second = information_over_records(problem, fine, *at, shaped)
+    found = information_over_records(
+        problem, block, theta, starts, record_window, weight, shaped=shaped, observed=coloured
+    )
 
     # The weight is one over the total error, the likelihood's one over its variance: they differ by this factor.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
     known = np.concatenate([problem.prior.information * unit, np.zeros(n_all - n_p)])
     keep = np.concatenate([~held, np.full(n_all - n_p, not initial_known)])
     kept = np.ix_(keep, keep)
-    H = (first.hessian + np.diag(known))[kept]
-    J_white = (second.hessian + np.diag(known * unit))[kept]
+    H = (found.hessian + np.diag(known))[kept]
+    J_white = (found.shaped + np.diag(known * unit))[kept]
     lag = max(1, round(3 * correlation_length(errors) / block))
-    J_robust = long_run([scores[:, keep] for scores in first.scores], lag) / share_left(
-        list(map(len, first.scores)), lag
+    J_robust = long_run([scores[:, keep] for scores in found.scores], lag) / share_left(
+        list(map(len, found.scores)), lag
     )
     J_robust += np.diag(known * unit)[kept]
 
@@ -130,8 +129,8 @@ def covariance(
         return result
 
     white = over_parameters(J_white, inverse)
-    if first.observed is not None:
-        own, axes = np.linalg.eigh(root.T @ (first.observed + np.diag(known))[kept] @ root)
+    if found.observed is not None:
+        own, axes = np.linalg.eigh(root.T @ (found.observed + np.diag(known))[kept] @ root)
         flatness = float(own[0])
         if flatness >= FLATTEST:
             axes = root @ axes

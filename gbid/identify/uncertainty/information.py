@@ -1,17 +1,44 @@
-"""What each record alone says about its own parameters, at an estimate that all records share."""
+"""What records say of parameters and initial states: Hessians of the cost and gradients of blocks of samples."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.blocks import LONGEST_BLOCK, cut
-from gbid.identify.kernel.sweep import block_sums, joined, link, powers_of, start_hessians
+from gbid.identify.kernel.block_sums import PassEngine
+from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
+from gbid.identify.kernel.sweep import Sweep, block_sums, joined, link, powers_of, start_hessians, starts_of_blocks
+from gbid.identify.nlp.adjoint import own_gradients
+from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
+from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.predictor import PredictorValues
 
 _BLOCKS, _SHORTEST = 64, 8  # blocks of a record, within which scores are summed; samples in the shortest
+
+
+class Information(NamedTuple):
+    """Second derivatives of ``sum e' W e / 2`` by the parameters and, after them, the records' initial states.
+
+    Attributes
+    ----------
+    hessian : (n_all, n_all) array
+        Gauss-Newton.
+    shaped : (n_all, n_all) array
+        The same with another weight.
+    observed : (n_all, n_all) array or None
+        The Hessian itself, with what Gauss-Newton leaves out of the parameters' columns.
+    scores : list of (n_blocks, n_all) array
+        For each record, gradient of each block of samples.
+    """
+
+    hessian: FloatArray
+    shaped: FloatArray
+    observed: FloatArray | None
+    scores: list[FloatArray]
 
 
 class RecordInformation(NamedTuple):
@@ -29,10 +56,84 @@ class RecordInformation(NamedTuple):
     scores: FloatArray
 
 
+class _Pass(NamedTuple):
+    """A pass over segments, each one window: its sums, and the gradient of each block by parameters and by start."""
+
+    sums: Sweep
+    by_theta: FloatArray
+    by_start: FloatArray
+
+
+def information_over_records(
+    problem: Shooting,
+    block: int,
+    theta: FloatArray,
+    starts: FloatArray,
+    record_window: IntArray,
+    weight: FloatArray,
+    *,
+    shaped: FloatArray | None = None,
+    observed: bool = False,
+) -> Information:
+    """Run a pass over whole segments and refer everything to parameters and the records' initial states.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Parameters not tied.
+    block : int
+        Most samples of a block, for which gradients are summed.
+    theta : (n_p,) array
+    starts : (n_windows, n) array
+    record_window : (n_records,) integer array
+        First window of each record.
+    weight : (n_y, n_y) array
+    shaped : (n_y, n_y) array, optional
+        Another weight, for a second Gauss-Newton Hessian.
+    observed : bool
+        Whether the Hessian itself is wanted: a pass for each parameter.
+    """
+    n, n_p = problem.n_states, problem.n_theta
+    n_all = n_p + len(record_window) * n
+    chains: dict[int, tuple[FloatArray, int]] = {}  # start of the segment at a window: sensitivity, record
+    for record, window in enumerate(record_window):
+        T = np.zeros((n, n_all))
+        T[:, n_p + record * n : n_p + (record + 1) * n] = np.eye(n)
+        chains[int(window)] = T, record
+    weights = [weight] if shaped is None else [weight, shaped]
+    cuts, passes = [], []
+    for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
+        cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
+        begin = starts[first + part.blocks.segment_first]
+        passes.append(_run(v, cuts[-1], part.engine, begin, weights))
+    _follow_segments(problem, [own[0].sums for own in passes], chains)
+    gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
+    scores: list[list[tuple[int, FloatArray]]] = [[] for _ in record_window]
+    exact = _exact(problem, theta, starts, [own[0].sums for own in passes], weight) if observed else []
+    whole = np.zeros((n_all, n_all))
+    for k, (part, blocks, own) in enumerate(zip(problem.parts, cuts, passes, strict=True)):
+        windows = problem.first_window[k] + part.blocks.segment_first
+        along = [chains[int(window)][0] for window in windows]
+        for total, each in zip(gauss_newton, own, strict=True):
+            hessian = PartHessian(each.sums.hessian, each.sums.hessian_mixed)
+            _add(total, part.index, hessian, each.sums.hessian_start, along)
+        if observed:
+            symmetric = PartHessian((exact[k].theta + exact[k].theta.T) / 2, exact[k].mixed)
+            _add(whole, part.index, symmetric, own[0].sums.hessian_start, along)
+        for i, window in enumerate(windows):
+            T, record = chains[int(window)]
+            here = slice(blocks.window_first[i], blocks.window_first[i] + blocks.window_size[i])
+            found = own[0].by_start[here] @ T
+            found[:, part.index] += own[0].by_theta[here]
+            scores[record].append((int(window), found))
+    ordered = [np.concatenate([s for _, s in sorted(found, key=lambda item: item[0])]) for found in scores if found]
+    return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, ordered)
+
+
 def record_information(
     problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, weight: FloatArray
 ) -> list[RecordInformation]:
-    """Run one pass over each record by itself.
+    """Run one pass over each record by itself: what it says about its own parameters.
 
     Parameters
     ----------
@@ -54,18 +155,11 @@ def record_information(
         for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
             length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
             blocks = cut([segment], part.predictor, None, longest_block=length)
-            powers = powers_of(v.F, blocks.length)
-            start = starts[first + window][None]
-            sums, free = block_sums(v, blocks, start, weight, powers, part.engine)
-            linked = link(blocks, sums.end_theta, powers)
-            whole = joined(blocks, sums, start_hessians(blocks, free), linked)
-            mixed = whole.hessian_mixed[0]
-            live = slice(0, blocks.n_blocks)
-            g, gx = sums.gradient[live], sums.gradient_start[live][:, None, :]
-            by_own = g + (gx @ linked.by_theta[live])[:, 0]
-            by_start = (gx @ linked.by_start[live])[:, 0]
+            (own,) = _run(v, blocks, part.engine, starts[first + window][None], [weight])
+            mixed = own.sums.hessian_mixed[0]
             found[int(first + window)] = RecordInformation(
-                np.block([[whole.hessian, mixed], [mixed.T, whole.hessian_start[0]]]), -np.hstack([by_own, by_start])
+                np.block([[own.sums.hessian, mixed], [mixed.T, own.sums.hessian_start[0]]]),
+                -np.hstack([own.by_theta, own.by_start]),
             )
     return [found[int(window)] for window in record_window]
 
@@ -81,3 +175,67 @@ def profiled(information: RecordInformation, kept: IntArray) -> RecordInformatio
     return RecordInformation(
         H[np.ix_(kept, kept)] - H[np.ix_(kept, rest)] @ onto, scores[:, kept] - scores[:, rest] @ onto
     )
+
+
+def _run(
+    v: PredictorValues, blocks: Blocks, engine: PassEngine, starts: FloatArray, weights: Sequence[FloatArray]
+) -> list[_Pass]:
+    """Run a pass for each weight from the starts of the segments, (n_segments, n); blocks start alike in all."""
+    powers = powers_of(v.F, blocks.length)
+    begin, live = starts_of_blocks(v, blocks, starts, powers[-1], engine), slice(0, blocks.n_blocks)
+    found = []
+    for weight in weights:
+        sums, free = block_sums(v, blocks, begin, weight, powers, engine)
+        linked = link(blocks, sums.end_theta, powers)
+        by_start = sums.gradient_start[live][:, None, :]
+        found.append(
+            _Pass(
+                joined(blocks, sums, start_hessians(blocks, free), linked),
+                sums.gradient[live] + (by_start @ linked.by_theta[live])[:, 0],
+                (by_start @ linked.by_start[live])[:, 0],
+            )
+        )
+    return found
+
+
+def _add(
+    total: FloatArray, index: IntArray, own: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
+) -> None:
+    """Add a part's Hessian, its windows' starts referred to everything by the sensitivities `along`."""
+    total[np.ix_(index, index)] += own.theta
+    for mixed, of_start, T in zip(own.mixed, of_starts, along, strict=True):
+        across = mixed @ T
+        total[index] += across
+        total[:, index] += across.T
+        total += T.T @ of_start @ T
+
+
+def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int, tuple[FloatArray, int]]) -> None:
+    """Carry sensitivities from segment to segment of a record, over the stretches that are left out."""
+    place: dict[int, tuple[int, int, int]] = {}  # last window of a segment: its first one, its part, its place there
+    firsts = set()
+    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
+        begin = part.blocks.segment_first
+        ends = np.append(begin[1:], part.blocks.n_windows) - 1
+        place |= {int(first + b): (int(first + a), k, i) for i, (a, b) in enumerate(zip(begin, ends, strict=True))}
+        firsts |= {int(first + a) for a in begin}
+    for a, b in problem.links:
+        if int(b) in firsts and int(a) in place:
+            window, k, i = place[int(a)]
+            T, record = chains[window]
+            following = sums[k].end_start[i] @ T
+            following[:, problem.parts[k].index] += sums[k].end_theta[i]
+            chains[int(b)] = following, record
+
+
+def _exact(
+    problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
+) -> list[PartHessian]:
+    """Exact columns of all parameters, with each segment as one window."""
+    joined_up, kept = in_one_window(problem)
+    _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
+    ends, values = np.zeros_like(starts), problem.values(theta)
+    for _ in joined_up.links:  # from the last segments of the records to the first: what the cost makes of their ends
+        made = own_gradients(joined_up, values, starts, ends, weight)
+        ends[joined_up.links[:, 0]] = np.concatenate([own.starts for own in made])[joined_up.links[:, 1]]
+    return exact_columns(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
