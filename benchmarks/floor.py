@@ -14,8 +14,8 @@ from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.engine import CompiledEngine, pattern_of
 from gbid.identify.kernel.source import KernelPattern
 from gbid.identify.kernel.sweep import block_sums, powers_of, sweep
-from gbid.identify.nlp.assembly import automatic_window
 from gbid.identify.predictor import build_predictor
+from gbid.identify.problem.assembly import automatic_window
 
 
 @dataclass(frozen=True)

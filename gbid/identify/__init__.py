@@ -11,7 +11,7 @@ from gbid.identify.store import load_fit, save_fit
 from gbid.identify.table.fit_table import FitTable
 from gbid.identify.table.table_store import load_table, save_table
 from gbid.identify.table.tabulate import TableEntry, tabulate
-from gbid.identify.whiteness import Whiteness, correlation, whiteness_test
+from gbid.identify.uncertainty.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [
     "FitOptions",

@@ -14,8 +14,6 @@ from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
 from gbid.identify.data import FitData, gather
 from gbid.identify.kernel.engine import EngineName
-from gbid.identify.nlp.assembly import Scope, assemble, automatic_window, full_start, offset_starts
-from gbid.identify.nlp.nlp_problem import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress, Stop
@@ -23,6 +21,8 @@ from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several
 from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
+from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start, offset_starts
+from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.result import FitResult
 from gbid.identify.start import start_values
 from gbid.identify.status import FitStatus

@@ -11,15 +11,15 @@ import numpy.typing as npt
 from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import Dual
 from gbid.identify.data import FitData
-from gbid.identify.nlp.assembly import Assembly
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
 from gbid.identify.options import FitOptions
+from gbid.identify.problem.assembly import Assembly
 from gbid.identify.result import FitResult
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
-from gbid.identify.whiteness import whiteness_test
+from gbid.identify.uncertainty.whiteness import correlation_length, whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
 _COLOURED = 0.01  # probability below which residuals do not count as white, shared by the outputs
@@ -67,14 +67,14 @@ def outcome(
     initial_known = options.initial_state != "estimated"
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    white = whiteness_test(by_record)
+    white, memory = whiteness_test(by_record), correlation_length(by_record) if finite else 1
     trusted: Literal["white", "robust"] = (
         "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
     )
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
         return _covariance(
-            problem, theta, starts, assembly, products, by_record, on_bound, initial_known, trusted == "robust"
+            problem, theta, starts, assembly, products, memory, on_bound, initial_known, trusted == "robust"
         )
 
     on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
@@ -162,7 +162,7 @@ def _covariance(
     starts: FloatArray,
     assembly: Assembly,
     products: FloatArray,
-    errors: list[FloatArray],
+    memory: int,
     on_bound: BoolArray,
     initial_known: bool,
     coloured: bool,
@@ -178,7 +178,7 @@ def _covariance(
             starts,
             assembly.record_window,
             products,
-            errors,
+            memory,
             on_bound,
             initial_known=initial_known,
             coloured=coloured,

@@ -9,11 +9,11 @@ from shaken_rig import TRUE, shaken
 import gbid
 from gbid.errors import UsageError
 from gbid.identify.data import gather
-from gbid.identify.nlp.assembly import assemble
 from gbid.identify.nlp.hessian import ExactHessian, held_up
-from gbid.identify.nlp.nlp_problem import build_problem
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.other_gains import FOUND, SUSPECTED, lower_elsewhere
+from gbid.identify.problem.assembly import assemble
+from gbid.identify.problem.scaling import build_problem
 from gbid.rig import FilmStiffening, ProcessNoise
 from gbid.structure import evaluate
 

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 
 from gbid.identify import correlation, fit, whiteness_test
-from gbid.identify.whiteness import correlation_length
+from gbid.identify.uncertainty.whiteness import correlation_length
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
 

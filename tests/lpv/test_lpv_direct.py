@@ -10,9 +10,9 @@ from study_rig import PAPER, POINTS, truth_at
 import gbid
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import gather
-from gbid.identify.nlp.assembly import assemble, full_start
-from gbid.identify.nlp.nlp_problem import build_problem
-from gbid.identify.nlp.ties import Ties
+from gbid.identify.problem.assembly import assemble, full_start
+from gbid.identify.problem.scaling import build_problem
+from gbid.identify.problem.ties import Ties
 from gbid.lpv import LPVModel
 from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing
 

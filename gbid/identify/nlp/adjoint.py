@@ -14,7 +14,8 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import from_starts, powers_of, scan
-from gbid.identify.nlp.shooting import GroupGradient, RecordGroup, Shooting
+from gbid.identify.nlp.record_group import GroupGradient, RecordGroup
+from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
 
 

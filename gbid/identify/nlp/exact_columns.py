@@ -9,7 +9,8 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.identify.nlp.adjoint import own_gradients
-from gbid.identify.nlp.shooting import RecordGroup, Shooting
+from gbid.identify.nlp.record_group import RecordGroup
+from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
 
 # Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show

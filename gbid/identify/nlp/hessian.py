@@ -15,7 +15,8 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.identify.nlp.adjoint import on_ends
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
-from gbid.identify.nlp.shooting import Iterate, Shooting
+from gbid.identify.nlp.record_group import Iterate
+from gbid.identify.nlp.shooting import Shooting
 
 _REFRESH = 2  # iterations for which exact columns serve
 _LEAST = 0.01  # of Gauss-Newton's curvature

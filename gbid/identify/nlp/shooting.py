@@ -11,128 +11,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.block_sums import PassEngine
-from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import Sweep, residuals, sweep, tied
-from gbid.identify.predictor import Predictor, PredictorValues
+from gbid.identify.nlp.patterns import Pattern, hessian_pattern, jacobian_pattern
+from gbid.identify.nlp.record_group import Iterate, Prior, RecordGroup
+from gbid.identify.nlp.stability import EDGE, near_instability, spectral_radius
+from gbid.identify.predictor import PredictorValues
 
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # of the outputs' power
-_EDGE = 0.02  # of the stability margin of the model itself
 _WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
-
-
-@dataclass(frozen=True, eq=False)
-class RecordGroup:
-    """Segments that share one predictor and the same values of its parameters.
-
-    Attributes
-    ----------
-    predictor : Predictor
-    blocks : Blocks
-    index : (n_p,) integer array
-        Which of the problem's parameters are those of the predictor.
-    engine : PassEngine
-        Runs the pass.
-    tie : (n_own, n_p) array or None
-        When the predictor's own parameters are linear in the problem's, ``own = tie @ theta[index]``; None when they
-        are those of `index` themselves.
-    """
-
-    predictor: Predictor
-    blocks: Blocks
-    index: IntArray
-    engine: PassEngine
-    tie: FloatArray | None = None
-
-    def own(self, theta: FloatArray) -> FloatArray:
-        """Values of the predictor's parameters at the problem's parameters."""
-        return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
-
-    @property
-    def noise(self) -> IntArray:
-        """Which of the problem's parameters only the disturbance gain depends on."""
-        rows = list(self.predictor.noise)
-        if self.tie is None:
-            return self.index[rows]
-        return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
-
-    def within_bounds(self, theta: FloatArray) -> bool:
-        """Whether parameters that are tied lie where the predictor allows them: no bound of an unknown says so."""
-        if self.tie is None:
-            return True
-        free = self.predictor.free
-        return all(q.lower <= v <= q.upper for q, v in zip(free, self.own(theta).tolist(), strict=True))
-
-
-class Iterate(NamedTuple):
-    """What a solver asks for at one point, in scaled units.
-
-    Attributes
-    ----------
-    cost : float
-    gradient : (n_unknowns,) array
-    gaps : (n_gaps,) array
-    jacobian : (n_nonzeros,) array
-        Entries of the Jacobian of the gaps, where `Shooting.jacobian_pattern` has them.
-    hessian : (n_nonzeros,) array
-        Entries of the upper triangle, where `Shooting.hessian_pattern` has them.
-    sweeps : tuple of Sweep
-        What the pass says of each part, in physical units; empty where the problem has no value.
-    factor : float
-        What brings the sums of a sweep to the scale of the cost.
-    """
-
-    cost: float
-    gradient: FloatArray
-    gaps: FloatArray
-    jacobian: FloatArray
-    hessian: FloatArray
-    sweeps: tuple[Sweep, ...]
-    factor: float
-
-
-class GroupGradient(NamedTuple):
-    """What a part adds to the gradient of the Lagrangian, without the prior.
-
-    Attributes
-    ----------
-    theta : (n_p,) array
-        By parameters: those at the part's `index`, or the predictor's own.
-    starts : (n_windows, n) array
-        By its windows' starts; that another window is to end there is left out.
-    """
-
-    theta: FloatArray
-    starts: FloatArray
-
-
-class Pattern(NamedTuple):
-    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
-
-    shape: tuple[int, int]
-    rows: IntArray
-    columns: IntArray
-    order: IntArray
-
-
-class Prior(NamedTuple):
-    """What is known of parameters beforehand: normal, independent.
-
-    Attributes
-    ----------
-    mean : (n_p,) array
-    information : (n_p,) array
-        Inverse variances; zero where nothing is known.
-    """
-
-    mean: FloatArray
-    information: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,12 +184,7 @@ class Shooting:
         """Whether a predictor has come so near to instability that its disturbance gain is no estimate."""
         if not (self.noise and self.stable_only):
             return False
-        for part, values in zip(self.parts, self.values(theta), strict=True):
-            own = np.array(part.own(theta))
-            own[list(part.predictor.noise)] = 0.0
-            if 1 - spectral_radius([values]) <= _EDGE * (1 - spectral_radius([part.predictor.at(own)])):
-                return True
-        return False
+        return any(near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -327,32 +214,12 @@ class Shooting:
     @cached_property
     def jacobian_pattern(self) -> Pattern:
         """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
-        n, n_t = self.n_states, self.n_theta
-        rows, columns = [], []
-        for link_rows, windows, part in self._links_by_part:
-            own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
-            rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
-            columns += [
-                np.broadcast_to(part.index, rows[-2].shape),
-                np.broadcast_to((n_t + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
-            ]
-        following = np.arange(self.n_gaps)
-        rows.append(following)
-        columns.append((n_t + self.links[:, 1:] * n + np.arange(n)).ravel())
-        return _in_column_order((self.n_gaps, self.n_unknowns), rows, columns)
+        return jacobian_pattern(self.links, self._links_by_part, self.n_states, self.n_theta, self.n_unknowns)
 
     @cached_property
     def hessian_pattern(self) -> Pattern:
         """Where the upper triangle of the Hessian has entries: an arrow."""
-        n, n_t = self.n_states, self.n_theta
-        rows, columns = [self._theta_pairs[0]], [self._theta_pairs[1]]
-        upper = np.triu_indices(n)
-        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
-            base = n_t + np.arange(first, last) * n
-            shape = (last - first, len(part.index), n)
-            rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
-            columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
-        return _in_column_order((self.n_unknowns, self.n_unknowns), rows, columns)
+        return hessian_pattern(self.parts, self.first_window, self._theta_pairs, self.n_states, self.n_unknowns)
 
     @property
     def exact_cost(self) -> float:
@@ -468,19 +335,3 @@ class Shooting:
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
         gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
         return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
-
-
-def spectral_radius(values: list[PredictorValues]) -> float:
-    """Largest magnitude of the predictors' eigenvalues; infinite where they overflow."""
-    transitions = [v.F for v in values]
-    if not all(np.isfinite(F).all() for F in transitions):
-        return np.inf
-    return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
-
-
-def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
-    """Order entries by column, then row."""
-    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
-    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
-    order = np.lexsort((row, column))
-    return Pattern(shape, row[order], column[order], order)

@@ -16,7 +16,9 @@ from gbid.arrays import FloatArray
 from gbid.identify.nlp.casadi_callback import Oracle
 from gbid.identify.nlp.hessian import Curvature, ExactHessian, GaussNewton
 from gbid.identify.nlp.one_window import in_one_window, in_windows
-from gbid.identify.nlp.shooting import Iterate, Pattern, Shooting
+from gbid.identify.nlp.patterns import Pattern
+from gbid.identify.nlp.record_group import Iterate
+from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
 from gbid.identify.status import FitStatus
 

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.nlp.shooting import Shooting, spectral_radius
+from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.nlp.stability import spectral_radius
 
 Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4

@@ -10,7 +10,6 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.uncertainty.information import information_over_records
-from gbid.identify.whiteness import correlation_length
 
 _UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
 FLATTEST = 1e-4
@@ -51,7 +50,7 @@ def covariance(
     starts: FloatArray,
     record_window: IntArray,
     error_products: FloatArray,
-    errors: list[FloatArray],
+    memory: int,
     held: BoolArray,
     *,
     initial_known: bool = False,
@@ -68,8 +67,8 @@ def covariance(
         First window of each record.
     error_products : (n_y, n_y) array
         ``sum e e'``.
-    errors : list of (n_samples, n_y) array
-        Residuals, for the length of their memory.
+    memory : int
+        Samples over which residuals are correlated.
     held : (n_p,) boolean array
         Parameters on a bound: they count as known, and get zero rows.
     initial_known : bool
@@ -110,7 +109,7 @@ def covariance(
     kept = np.ix_(keep, keep)
     H = (found.hessian + np.diag(known))[kept]
     J_white = (found.shaped + np.diag(known * unit))[kept]
-    lag = max(1, round(3 * correlation_length(errors) / block))
+    lag = max(1, round(3 * memory / block))
     J_robust = long_run([scores[:, keep] for scores in found.scores], lag) / share_left(
         list(map(len, found.scores)), lag
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,14 +11,12 @@ from gbid.arrays import BoolArray
 from gbid.discretise import Hold
 from gbid.identify.fit import fit
 from gbid.identify.kernel.engine import EngineName
-from gbid.identify.nlp.shooting import spectral_radius
-from gbid.identify.predictor import Focus, Predictor, build_predictor
+from gbid.identify.nlp.stability import CLEAR, near_instability
+from gbid.identify.predictor import Focus, build_predictor
 from gbid.lpv.direct.setting import Setting
 from gbid.recording import Recording
-from gbid.structure import LinearModel
 
 _ITERATIONS = 40
-_CLEAR = 0.2  # of the model's own margin of stability
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,16 +65,10 @@ def own_gains(
             max_iterations=_ITERATIONS,
             engine=engine,
         )
-        told = own.success and _well_inside(predictor, own.parameters, own.model)
+        found = np.array([own.parameters[q.name] for q in predictor.free])
+        told = own.success and not near_instability(predictor, found, CLEAR)
         values.append({name: own.parameters[name] for name in setting.gains} if told else nothing)
         held.append(not told)
     names = [r.name for r, stays in zip(recordings, held, strict=True) if stays]
     note = f"disturbance gain held at zero in {len(names)} of {len(held)} recordings, which cannot tell it: "
     return Gains(values, np.array(held), (note + ", ".join(names),) if names else ())
-
-
-def _well_inside(predictor: Predictor, parameters: Mapping[str, float], model: LinearModel) -> bool:
-    """Whether a predictor keeps clear of instability by a good part of the model's own margin."""
-    values = predictor.at(np.array([parameters[q.name] for q in predictor.free]))
-    own = 1 - float(np.exp(predictor.sample_time * model.poles().real.max()))
-    return 1 - spectral_radius([values]) > _CLEAR * own

@@ -9,8 +9,8 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.identify.nlp.ties import Ties
 from gbid.identify.predictor import noise_names
+from gbid.identify.problem.ties import Ties
 from gbid.lpv.basis import EXPONENTS
 from gbid.lpv.model import LPVModel
 from gbid.lpv.surface_fit.fit_lpv import kron_designs

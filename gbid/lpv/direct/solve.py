@@ -11,11 +11,11 @@ from gbid.arrays import FloatArray
 from gbid.discretise import Hold
 from gbid.identify.data import FitData
 from gbid.identify.kernel.engine import EngineName
-from gbid.identify.nlp.assembly import Scope, assemble, full_start
-from gbid.identify.nlp.nlp_problem import build_problem, unknown_bounds
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.predictor import Focus
+from gbid.identify.problem.assembly import Scope, assemble, full_start
+from gbid.identify.problem.scaling import build_problem, unknown_bounds
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
 from gbid.lpv.direct.gains import Gains

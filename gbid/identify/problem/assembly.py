@@ -1,23 +1,23 @@
-"""From recordings and options to the shooting problem: segments, parts, links, and who shares which parameter."""
+"""Assembly of a fit: parts, links, and who shares which parameter, from recordings and options."""
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
-from gbid.arrays import FloatArray, IntArray
+from gbid.arrays import IntArray
 from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
-from gbid.identify.kernel.blocks import LANES, Segment, cut
-from gbid.identify.kernel.engine import EngineName, RunEngine, choose_engine
-from gbid.identify.nlp.shooting import RecordGroup
-from gbid.identify.nlp.ties import Ties, tie_of
-from gbid.identify.predictor import Focus, Predictor, PredictorValues, build_predictor
+from gbid.identify.kernel.blocks import LANES
+from gbid.identify.kernel.engine import EngineName, RunEngine
+from gbid.identify.nlp.record_group import RecordGroup
+from gbid.identify.predictor import Focus, Predictor, build_predictor
+from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
+from gbid.identify.problem.ties import Ties, tie_of
 from gbid.operating_point import point_label
 from gbid.structure import Parameter, Structure, evaluate
 
@@ -121,13 +121,13 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
-    segments = [_stretches(record, left_out.get(record.name, ()), predictor) for record in data.records]
+    segments = [stretches(record, left_out.get(record.name, ()), predictor) for record in data.records]
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
     gap_predictor = predictor_for("simulation") if any(p.is_gap for record in segments for p in record) else None
 
-    builder = _Builder(window, begin, engine)
+    builder = GroupBuilder(window, begin, engine)
     for i, (names, record) in enumerate(zip(record_names, segments, strict=True)):
         for segment in record:
             chosen = gap_predictor if segment.is_gap and gap_predictor is not None else predictor
@@ -139,20 +139,14 @@ def assemble(
     parts, windows = builder.build()
     return Assembly(
         parts,
-        _links(windows, [len(record) for record in segments]),
+        links_of(windows, [len(record) for record in segments]),
         free,
         predictor.unused,
-        _record_windows(windows, [len(record) for record in segments]),
+        record_windows(windows, [len(record) for record in segments]),
         record_names,
         builder.engine_name,
         tuple(dict.fromkeys(builder.notes)),
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Stretch:
-    segment: Segment
-    is_gap: bool
 
 
 def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -> None:
@@ -214,33 +208,6 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
     return tuple(found.values())
 
 
-def _stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[_Stretch]:
-    """Cut a record at what is left out.
-
-    Without feedback of the outputs the model runs through and those samples just do not count. With feedback
-    the model runs through them on its own: a stretch of simulation between two of prediction.
-    """
-    n = record.n_samples
-    counts = np.ones(n)
-    for start, stop in ranges:
-        if not 0 <= start < stop <= n:
-            raise DataError(f"recording {record.name!r}: left out samples {start} to {stop} are not within its {n}")
-        counts[start:stop] = 0.0
-    if counts.all():
-        return [_Stretch(Segment(record.inputs, record.outputs), False)]
-    if not counts.any():
-        raise DataError(f"recording {record.name!r}: all samples are left out")
-    if not predictor.feeds_back:
-        return [_Stretch(Segment(record.inputs, record.outputs, counts), False)]
-    if predictor.horizon > 1:
-        raise UsageError("left_out with a disturbance gain and a horizon beyond 1 is not possible; choose one")
-    edges = [0, *(np.flatnonzero(np.diff(counts)) + 1).tolist(), n]
-    return [
-        _Stretch(Segment(record.inputs, record.outputs, counts, start=a, stop=b), counts[a] == 0)
-        for a, b in itertools.pairwise(edges)
-    ]
-
-
 def automatic_window(data: FitData, focus: Focus) -> int:
     """Choose a window: short enough for bad starts, the number of windows a multiple of the lanes.
 
@@ -283,71 +250,3 @@ def offset_starts(
             left = np.median(record.outputs, axis=0)
         starts.append({f"offset_{name}": float(v) for name, v in zip(data.output_names, left, strict=True)})
     return starts
-
-
-_Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and how they are tied
-
-
-class _Builder:
-    """Collects segments of the same predictor and parameters, and cuts them together."""
-
-    def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
-        self._window, self._begin, self._engine = window, begin, engine
-        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Segment]]] = {}
-        self._order: list[tuple[_Key, int]] = []
-        self.engine_name: RunEngine = "numpy"
-        self.notes: list[str] = []
-
-    def add(
-        self, predictor: Predictor, index: tuple[int, ...], segment: Segment, tie: FloatArray | None = None
-    ) -> None:
-        key = (id(predictor), index, b"" if tie is None else tie.tobytes())
-        _, _, segments = self._groups.setdefault(key, (predictor, tie, []))
-        self._order.append((key, len(segments)))
-        segments.append(segment)
-
-    def build(self) -> tuple[tuple[RecordGroup, ...], list[tuple[int, int]]]:
-        """Return the parts, and first and last window (over all parts) of each segment in the order of adding."""
-        parts, windows_of = [], {}
-        engines: dict[int, object] = {}
-        base = 0
-        for key, (predictor, tie, segments) in self._groups.items():
-            predictor_id, index, _ = key
-            if predictor_id not in engines:
-                chosen = choose_engine(self._engine, self._samples(predictor))
-                engines[predictor_id] = chosen.run
-                self.engine_name = chosen.name
-                self.notes += [chosen.note] if chosen.note else []
-            blocks = cut(segments, predictor, self._window)
-            part = RecordGroup(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
-            parts.append(part)
-            ends = np.append(blocks.segment_first[1:], blocks.n_windows) - 1
-            for i, (a, b) in enumerate(zip(blocks.segment_first, ends, strict=True)):
-                windows_of[key, i] = (base + int(a), base + int(b))
-            base += blocks.n_windows
-        return tuple(parts), [windows_of[item] for item in self._order]
-
-    def _samples(self, predictor: Predictor) -> list[PredictorValues]:
-        """Evaluate the predictor at the start and at a point where nothing is zero by chance."""
-        theta = np.array([self._begin.get(q.name, 0.0) for q in predictor.free])
-        nudged = np.where(theta == 0, 1e-3, theta * 1.001)
-        nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
-        return [predictor.at(theta), predictor.at(nudged)]
-
-
-def _links(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    """Neighbouring windows within each segment, and over the edges of the segments of one record."""
-    links, i = [], 0
-    for count in counts:
-        for j in range(count):
-            first, last = windows[i + j]
-            links += [(w, w + 1) for w in range(first, last)]
-            if j + 1 < count:
-                links.append((last, windows[i + j + 1][0]))
-        i += count
-    return np.array(links, dtype=np.int64).reshape(-1, 2)
-
-
-def _record_windows(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    firsts = np.cumsum([0, *counts[:-1]])
-    return np.array([windows[i][0] for i in firsts])

@@ -13,8 +13,10 @@ from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.data import FitData
 from gbid.identify.kernel.sweep import forced_states
-from gbid.identify.nlp.assembly import Assembly
-from gbid.identify.nlp.shooting import Criterion, Prior, Shooting, spectral_radius
+from gbid.identify.nlp.record_group import Prior
+from gbid.identify.nlp.shooting import Criterion, Shooting
+from gbid.identify.nlp.stability import spectral_radius
+from gbid.identify.problem.assembly import Assembly
 
 InitialState = Literal["estimated", "zero"] | Sequence[float]
 

@@ -1,0 +1,86 @@
+"""Where the Jacobian of the gaps and the Hessian of the shooting problem have entries."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.arrays import IntArray
+from gbid.identify.nlp.record_group import RecordGroup
+
+
+class Pattern(NamedTuple):
+    """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
+
+    shape: tuple[int, int]
+    rows: IntArray
+    columns: IntArray
+    order: IntArray
+
+
+def jacobian_pattern(
+    links: IntArray,
+    links_by_part: Sequence[tuple[IntArray, IntArray, RecordGroup]],
+    n: int,
+    n_theta: int,
+    n_unknowns: int,
+) -> Pattern:
+    """Return where the gaps depend on the parameters of a window, its start, and the next start.
+
+    Parameters
+    ----------
+    links : (n_links, 2) integer array
+    links_by_part : sequence of (rows, windows, RecordGroup)
+        Links that start in each part, and their first windows.
+    n, n_theta, n_unknowns : int
+        Number of states, parameters and unknowns.
+    """
+    rows, columns = [], []
+    for link_rows, windows, part in links_by_part:
+        own = (link_rows[:, None] * n + np.arange(n))[:, :, None]
+        rows += [own.repeat(len(part.index), 2), own.repeat(n, 2)]
+        columns += [
+            np.broadcast_to(part.index, rows[-2].shape),
+            np.broadcast_to((n_theta + windows[:, None] * n + np.arange(n))[:, None, :], rows[-1].shape),
+        ]
+    rows.append(np.arange(len(links) * n))
+    columns.append((n_theta + links[:, 1:] * n + np.arange(n)).ravel())
+    return _in_column_order((len(links) * n, n_unknowns), rows, columns)
+
+
+def hessian_pattern(
+    parts: Sequence[RecordGroup],
+    first_window: IntArray,
+    theta_pairs: tuple[IntArray, IntArray],
+    n: int,
+    n_unknowns: int,
+) -> Pattern:
+    """Return where the upper triangle of the Hessian has entries, an arrow.
+
+    Parameters
+    ----------
+    parts : sequence of RecordGroup
+    first_window : (n_parts + 1,) integer array
+    theta_pairs : (n_pairs,) integer array, (n_pairs,) integer array
+        Pairs of parameters that meet in some part.
+    n, n_unknowns : int
+        Number of states and of unknowns.
+    """
+    rows, columns = [theta_pairs[0]], [theta_pairs[1]]
+    upper, n_theta = np.triu_indices(n), n_unknowns - int(first_window[-1]) * n
+    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
+        base = n_theta + np.arange(first, last) * n
+        shape = (last - first, len(part.index), n)
+        rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
+        columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+    return _in_column_order((n_unknowns, n_unknowns), rows, columns)
+
+
+def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:
+    """Order entries by column, then row."""
+    row = np.concatenate([np.ravel(part) for part in rows]).astype(np.int64)
+    column = np.concatenate([np.ravel(part) for part in columns]).astype(np.int64)
+    order = np.lexsort((row, column))
+    return Pattern(shape, row[order], column[order], order)

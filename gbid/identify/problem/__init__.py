@@ -1,0 +1,1 @@
+"""From recordings and options to the shooting problem."""
