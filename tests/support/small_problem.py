@@ -1,0 +1,47 @@
+"""A shooting problem with one unknown gain, whose sums can be written down."""
+
+import numpy as np
+from fit_cases import H, levels
+
+from gbid.identify.data import gather
+from gbid.identify.problem.assembly import assemble
+from gbid.identify.problem.scaling import build_problem
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, evaluate
+
+DECAY = 1.5
+GAIN = LinearStructure(
+    "lag of unknown gain", [Parameter("b", 2.0)], lambda p: {"A": [[-DECAY]], "B": [[p.b]], "C": [[1]]}
+)
+
+
+def small_problem(n=400, window=None, noise=0.1, records=1):
+    """Problem, unknowns at the start, and for each record slopes of the output by gain and initial state, and errors."""
+    recordings, slopes, errors = [], [], []
+    for i in range(records):
+        u = levels(n, seed=i)
+        unit = evaluate(GAIN, {"b": 1.0})
+        by_gain = unit.simulate(u, H)[:, 0]
+        by_start = unit.simulate(0 * u, H, initial_state=[1.0])[:, 0]
+        y = 2.2 * by_gain + noise * np.random.default_rng(i).normal(size=n)
+        recordings.append(Recording({"u": u, "y": y[:, None]}, H, name=f"{i}"))
+        slopes.append(np.column_stack([by_gain, by_start]))
+        errors.append(y - 2.0 * by_gain)
+    data = gather(recordings, ("u",), ("y",), minimum=10)
+    assembly = assemble(
+        GAIN,
+        GAIN.parameters,
+        {"b": 2.0},
+        data,
+        intersample="zoh",
+        focus="simulation",
+        horizon=1,
+        offsets=False,
+        local={},
+        left_out={},
+        window=window,
+        engine="numpy",
+    )
+    problem, _ = build_problem(assembly, data, "trace", None, {"b": 2.0}, {}, scaling=True)
+    unknowns = problem.pack(np.array([2.0]), np.zeros((problem.n_windows, 1)))
+    return problem, unknowns, assembly.record_window, slopes, errors
