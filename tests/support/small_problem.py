@@ -16,7 +16,7 @@ GAIN = LinearStructure(
 
 
 def small_problem(n=400, window=None, noise=0.1, records=1):
-    """Problem, unknowns at the start, and for each record slopes of the output by gain and initial state, and errors."""
+    """Problem, unknowns, first windows; for each record slopes of the output by gain and initial state, and errors."""
     recordings, slopes, errors = [], [], []
     for i in range(records):
         u = levels(n, seed=i)
