@@ -10,8 +10,6 @@ from gbid.identify.kernel.sweep import scan
 from gbid.identify.nlp.adjoint import on_ends, own_gradients
 from gbid.identify.nlp.hessian import entries_of, left_out_columns
 from gbid.identify.nlp.one_window import in_one_window
-from gbid.identify.problem.assembly import assemble
-from gbid.identify.problem.scaling import build_problem
 
 
 def of_pass(shooting, unknowns, lam):
