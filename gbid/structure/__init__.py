@@ -2,8 +2,8 @@
 
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
-from gbid.structure.linear_model import LinearModel
-from gbid.structure.pade_model import with_pade
+from gbid.structure.numeric.linear_model import LinearModel
+from gbid.structure.numeric.pade_model import with_pade
 from gbid.structure.parameter import Parameter, Values, known_names
 from gbid.structure.piezo_pair import PiezoPair
 from gbid.structure.plant import Plant

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.discretise import Hold
 from gbid.errors import UsageError
-from gbid.structure.linear_model import LinearModel
+from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
 
 

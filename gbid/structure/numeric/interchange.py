@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from gbid.errors import UsageError
-from gbid.structure.state_space import StateSpace
+from gbid.structure.numeric.state_space import StateSpace
 
 
 def scipy_state_space(model: StateSpace) -> Any:

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.discretise import Hold, check_holds, delayed_taps, discretise
 from gbid.errors import UsageError
-from gbid.structure.state_space import StateSpace
+from gbid.structure.numeric.state_space import StateSpace
 
 
 def sampled_run(

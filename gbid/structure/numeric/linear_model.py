@@ -15,8 +15,10 @@ from gbid.discretise import discretise, propagate
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
 from gbid.poles import oscillatory_modes
-from gbid.structure.interchange import control_state_space, from_state_space, scipy_state_space
-from gbid.structure.sampled_run import check_sample_time, sampled_run
+from gbid.structure.numeric.checked_fields import checked_fields
+from gbid.structure.numeric.interchange import control_state_space, from_state_space, scipy_state_space
+from gbid.structure.numeric.response import continuous_poles, frequency_response, static_gain
+from gbid.structure.numeric.sampled_run import check_sample_time, sampled_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,31 +68,8 @@ class LinearModel:
     delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
 
     def __post_init__(self) -> None:
-        if self.dt is not None:
-            check_sample_time(self.name, self.dt)
-        A, B, C, D = (np.atleast_2d(np.array(m, float)) for m in (self.A, self.B, self.C, self.D))
-        n, n_u, n_y = A.shape[0], B.shape[1], C.shape[0]
-        K = None if self.K is None else np.atleast_2d(np.array(self.K, float))
-        expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y)}
-        for letter, matrix in zip("ABCDK", (A, B, C, D, K), strict=True):
-            if matrix is None:
-                continue
-            if matrix.shape != expected[letter]:
-                raise UsageError(f"model {self.name!r}: {letter} has shape {matrix.shape}, expected {expected[letter]}")
-            if not np.isfinite(matrix).all():
-                raise UsageError(f"model {self.name!r}: {letter} holds entries that are not finite")
-            matrix.setflags(write=False)
-            object.__setattr__(self, letter, matrix)
-        self._check_delay(n, n_u)
-        for field, count, letter in (
-            ("input_names", n_u, "u"),
-            ("output_names", n_y, "y"),
-            ("state_names", n, "x"),
-        ):
-            names = tuple(getattr(self, field)) or tuple(f"{letter}{i + 1}" for i in range(count))
-            if len(names) != count:
-                raise UsageError(f"model {self.name!r}: {field} has {len(names)} names for {count}")
-            object.__setattr__(self, field, names)
+        for field, value in checked_fields(self).items():
+            object.__setattr__(self, field, value)
 
     @property
     def summary(self) -> str:
@@ -112,11 +91,7 @@ class LinearModel:
 
     def poles(self) -> ComplexArray:
         """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
-        poles = np.linalg.eigvals(self.A).astype(complex)
-        if self.dt is not None:
-            with np.errstate(divide="ignore"):  # a discrete pole at zero, as of a shift register
-                poles = np.log(np.abs(poles)) / self.dt + 1j * np.angle(poles) / self.dt
-        return poles[np.lexsort((poles.imag, np.abs(poles)))]
+        return continuous_poles(self)
 
     def is_stable(self) -> bool:
         """Return whether the model is asymptotically stable."""
@@ -139,11 +114,7 @@ class LinearModel:
         UsageError
             When the model has an integrator (a pole at zero) and therefore no static gain.
         """
-        system = -self.A if self.dt is None else np.eye(self.n_states) - self.A
-        if self.n_states and np.linalg.cond(system) > 1e15:
-            raise UsageError(f"model {self.name!r} has an integrator, so it has no static gain")
-        B = self.B if self.B_delayed is None else self.B + self.B_delayed
-        return np.asarray(self.C @ np.linalg.solve(system, B) + self.D)
+        return static_gain(self)
 
     def frequency_response(self, frequency_hz: npt.ArrayLike) -> ComplexArray:
         """Return the frequency response, shape (n_frequencies, n_outputs, n_inputs).
@@ -158,20 +129,7 @@ class LinearModel:
         UsageError
             When a frequency is not finite, or when an undamped pole lies exactly on it.
         """
-        s = 2j * np.pi * np.atleast_1d(np.asarray(frequency_hz, float))
-        if not np.isfinite(s).all():
-            raise UsageError(f"model {self.name!r}: frequency_hz holds values that are not finite")
-        B = np.broadcast_to(self.B, (len(s), *self.B.shape)).astype(complex)
-        if self.delay is not None:
-            B = B + self.B_delayed * np.exp(-s[:, None] * self.delay)[:, None]
-        if self.dt is not None:
-            s = np.exp(s * self.dt)
-        system = s[:, None, None] * np.eye(self.n_states) - self.A
-        try:
-            states = np.linalg.solve(system, B)
-        except np.linalg.LinAlgError:
-            raise UsageError(f"model {self.name!r} has a pole at one of the given frequencies") from None
-        return np.asarray(self.C @ states + self.D)
+        return frequency_response(self, frequency_hz)
 
     def discretise(self, sample_time: float) -> LinearModel:
         """Return the discrete-time model for zero-order hold of inputs and disturbance.
@@ -326,25 +284,6 @@ class LinearModel:
             unknown.
         """
         return cls(**from_state_space(system, name))
-
-    def _check_delay(self, n: int, n_u: int) -> None:
-        if (self.delay is None) != (self.B_delayed is None):
-            raise UsageError(f"model {self.name!r}: give both delay and B_delayed, or neither")
-        if self.delay is None:
-            return
-        delay, B_delayed = np.array(self.delay, float), np.array(self.B_delayed, float)
-        if delay.shape != (n_u,) or B_delayed.shape != (n, n_u):
-            raise UsageError(
-                f"model {self.name!r}: delay has shape {delay.shape} and B_delayed {B_delayed.shape}, "
-                f"expected {(n_u,)} and {(n, n_u)}"
-            )
-        if self.dt is not None:
-            raise UsageError(f"model {self.name!r}: exact delays are possible in continuous time only")
-        if not (np.isfinite(B_delayed).all() and np.isfinite(delay).all() and (delay >= 0).all()):
-            raise UsageError(f"model {self.name!r}: delays must be finite and not negative, B_delayed finite")
-        for name, value in (("delay", delay), ("B_delayed", B_delayed)):
-            value.setflags(write=False)
-            object.__setattr__(self, name, value)
 
     def _require_continuous(self) -> None:
         if self.dt is not None:

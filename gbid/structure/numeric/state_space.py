@@ -31,6 +31,11 @@ class StateSpace(Protocol):
         ...
 
     @property
+    def K(self) -> FloatArray | None:
+        """Disturbance gain (n, n_outputs)."""
+        ...
+
+    @property
     def dt(self) -> float | None:
         """Sample time [s]; None in continuous time."""
         ...

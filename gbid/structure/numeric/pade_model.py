@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from gbid.structure.delay import pade_delay
-from gbid.structure.linear_model import LinearModel
+from gbid.structure.numeric.linear_model import LinearModel
 
 
 def with_pade(model: LinearModel, order: int = 3) -> LinearModel:

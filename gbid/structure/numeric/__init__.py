@@ -1,0 +1,1 @@
+"""Linear models in numbers: matrices, simulation, frequency response, and the objects of other libraries."""
