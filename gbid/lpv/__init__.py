@@ -5,14 +5,7 @@ from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics
 from gbid.lpv.direct.fit_lpv_direct import fit_lpv_direct
 from gbid.lpv.domain import Domain
 from gbid.lpv.load import load_model, save_model
-from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
-from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.lpv.surface_fit.fit_lpv import fit_lpv
-from gbid.lpv.surface_fit.lpv_fit import LPVFit
-from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
-from gbid.lpv.surface_fit.order import OrderScore
-from gbid.lpv.surface_fit.outliers import Outlier
-from gbid.lpv.tables import (
+from gbid.lpv.machine_data import (
     Correction,
     PiezoController,
     PiezoControllers,
@@ -20,6 +13,13 @@ from gbid.lpv.tables import (
     Quantity,
     ReferenceModes,
 )
+from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
+from gbid.lpv.surface_fit.estimates import Estimates
+from gbid.lpv.surface_fit.fit_lpv import fit_lpv
+from gbid.lpv.surface_fit.lpv_fit import LPVFit
+from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
+from gbid.lpv.surface_fit.order import OrderScore
+from gbid.lpv.surface_fit.outliers import Outlier
 
 __all__ = [
     "ACTUATOR_PARAMETERS",

@@ -13,7 +13,7 @@ from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, basis, polynomial
 from gbid.lpv.domain import Domain
-from gbid.lpv.tables import Correction, PiezoControllers, ProportionalDesign, Quantity, ReferenceModes
+from gbid.lpv.machine_data import Correction, PiezoControllers, ProportionalDesign, Quantity, ReferenceModes
 from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 from gbid.structure.linear import Structure

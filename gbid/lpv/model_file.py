@@ -11,8 +11,7 @@ from pydantic import Field, TypeAdapter, ValidationError
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS
 from gbid.lpv.domain import Domain
-from gbid.lpv.model import LPVModel
-from gbid.lpv.tables import (
+from gbid.lpv.machine_data import (
     Correction,
     FileTable,
     Number,
@@ -21,6 +20,7 @@ from gbid.lpv.tables import (
     Quantity,
     ReferenceModes,
 )
+from gbid.lpv.model import LPVModel
 from gbid.structure import KEY_PARAMETERS
 from gbid.yaml_file import YamlFile
 

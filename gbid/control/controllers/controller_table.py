@@ -9,7 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
 from gbid.errors import UsageError
-from gbid.lpv.tables import FileTable, Number
+from gbid.lpv.machine_data import FileTable, Number
 from gbid.yaml_file import YamlFile
 
 SCHEMA_VERSION = 1

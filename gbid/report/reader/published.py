@@ -5,7 +5,7 @@ from __future__ import annotations
 from gbid.control import p_controller
 from gbid.errors import DataError
 from gbid.lpv import LPVModel
-from gbid.lpv.tables import ProportionalDesign
+from gbid.lpv.machine_data import ProportionalDesign
 from gbid.structure import LinearModel
 
 POINT = (6.0, 0.0)

@@ -19,7 +19,7 @@ _PAPER = ("open", "closed")
 """Loops that Tables 3 and 4 have."""
 
 
-class _Quantity(NamedTuple):
+class _ModeQuantity(NamedTuple):
     """A quantity of a mode: its sign and unit, its key in the documents and column of what is published, its digits."""
 
     words: str
@@ -36,8 +36,8 @@ class _Quantity(NamedTuple):
 
 
 _QUANTITIES = (
-    _Quantity("natural frequencies", "ω", "Hz", "frequency", 0, 1),
-    _Quantity("damping factors", "ζ", "", "damping", 1, 3),
+    _ModeQuantity("natural frequencies", "ω", "Hz", "frequency", 0, 1),
+    _ModeQuantity("damping factors", "ζ", "", "damping", 1, 3),
 )
 # Words, the entry of a mode with the key of the quantity, and so many decimals more.
 _LINES = (
@@ -108,7 +108,7 @@ def impact_tables(documents: Sequence[Row]) -> list[Table]:
     return tables
 
 
-def _quantity_table(where: str, here: Mapping[str, Row], quantity: _Quantity) -> Table:
+def _quantity_table(where: str, here: Mapping[str, Row], quantity: _ModeQuantity) -> Table:
     """Table of natural frequencies or damping factors, open and closed loop, with those of the paper."""
     shown = [
         (f"{quantity.sign}{mode},{'ol' if loop == 'open' else 'cl'}", here[loop], mode, quantity)
@@ -128,7 +128,7 @@ def _quantity_table(where: str, here: Mapping[str, Row], quantity: _Quantity) ->
 
 
 def _mode_table(
-    title: str, shown: Sequence[tuple[str, Row, int, _Quantity]], more: Sequence[list[Entry]] = ()
+    title: str, shown: Sequence[tuple[str, Row, int, _ModeQuantity]], more: Sequence[list[Entry]] = ()
 ) -> Table:
     """Table of expected and obtained modes: in each column, a quantity of one mode of one study."""
     rows: list[list[Entry]] = []
