@@ -13,7 +13,7 @@ from gbid.cli.guard import guarded
 from gbid.cli.options import AsJson, Debug, Results
 
 
-class Kind(StrEnum):
+class FileKind(StrEnum):
     """What to write."""
 
     mat = "mat"
@@ -32,8 +32,8 @@ def export(
         ),
     ],
     to: Annotated[
-        Kind, typer.Option("--to", help="MATLAB data with a function that builds ss and idss; tables; plain YAML.")
-    ] = Kind.mat,
+        FileKind, typer.Option("--to", help="MATLAB data with a function that builds ss and idss; tables; plain YAML.")
+    ] = FileKind.mat,
     at: Annotated[
         tuple[float, float] | None,
         typer.Option("--at", metavar="BAR RPM", help="Of a model: the linear models at this operating point."),
