@@ -1,0 +1,86 @@
+"""Spikes are found where they are, and nothing else is touched."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gbid.prefilter.spikes import THRESHOLD, remove_spikes
+
+TS = 2e-4
+NOISE = 30e-9
+
+
+def wave(n=5000, noise=NOISE, seed=0):
+    """The disc: 10 um at 125 Hz and 5 um at 131 Hz, with white noise."""
+    t = TS * np.arange(n)
+    clean = np.column_stack([10e-6 * np.cos(2 * np.pi * 125 * t), 5e-6 * np.sin(2 * np.pi * 131 * t)])
+    return clean, clean + noise * np.random.default_rng(seed).standard_normal(clean.shape)
+
+
+def test_clean_data_are_left_alone():
+    for seed in range(20):
+        for noise in (NOISE, 0.65e-6):
+            _, values = wave(25_000, noise, seed)
+            found = remove_spikes(values)
+            np.testing.assert_array_equal(found.values, values)
+            assert [len(samples) for samples in found.samples] == [0, 0]
+
+
+@pytest.mark.parametrize(("run", "size"), [(1, 0.5e-6), (1, -2e-6), (1, 50e-6), (2, 2e-6), (3, -2e-6), (3, 50e-6)])
+def test_spikes_are_found_and_replaced(run, size):
+    clean, values = wave()
+    where = np.concatenate([np.arange(start, start + run) for start in (2, 700, 1234, 1250, 4000, 4998 - run)])
+    spiked = values.copy()
+    spiked[where, 0] += size
+    found = remove_spikes(spiked)
+    np.testing.assert_array_equal(found.samples[0], where)
+    assert len(found.samples[1]) == 0
+    untouched = np.delete(np.arange(len(values)), where)
+    np.testing.assert_array_equal(found.values[untouched], values[untouched])
+    np.testing.assert_array_equal(found.values[:, 1], values[:, 1])
+    # A bridge over three samples carries up to 2.1 times the noise of one sample.
+    assert np.abs(found.values[where, 0] - clean[where, 0]).max() < 4 * 2.1 * NOISE
+
+
+@given(start=st.integers(2, 490), size=st.sampled_from([-1.0, 1.0]), seed=st.integers(0, 100))
+def test_one_spike_anywhere(start, size, seed):
+    _, values = wave(500, seed=seed)
+    spiked = values.copy()
+    spiked[start, 0] += 1e-6 * size
+    np.testing.assert_array_equal(remove_spikes(spiked).samples[0], [start])
+
+
+def test_steps_and_long_disturbances_stay():
+    rng = np.random.default_rng(1)
+    for width in (50, 4000):
+        values = np.zeros((5000, 1)) + 1e-8 * rng.standard_normal((5000, 1))
+        values[1000 : 1000 + width] += 5e-6
+        found = remove_spikes(values)
+        np.testing.assert_array_equal(found.values, values)
+
+
+def test_a_coarse_converter_is_no_spike():
+    _, values = wave(noise=0.0)
+    quantum = 0.3e-6
+    coarse = np.round(values / quantum) * quantum
+    np.testing.assert_array_equal(remove_spikes(coarse).values, coarse)
+    at_rest = np.zeros((1000, 1))
+    at_rest[::100] = quantum  # one bit now and then
+    np.testing.assert_array_equal(remove_spikes(at_rest).values, at_rest)
+
+
+def test_spikes_smaller_than_the_limit_stay():
+    """The limit is a number of standard deviations of the interpolation error, 1.39 times that of the noise."""
+    _, values = wave()
+    limit = THRESHOLD * 1.39 * NOISE
+    for share, expected in ((0.4, 0), (1.6, 1)):
+        spiked = values.copy()
+        spiked[1000, 0] += share * limit
+        assert len(remove_spikes(spiked).samples[0]) == expected
+
+
+@pytest.mark.parametrize("n", [0, 1, 4])
+def test_short_signals_have_no_neighbours_to_ask(n):
+    values = np.full((n, 2), 3.0)
+    np.testing.assert_array_equal(remove_spikes(values).values, values)
