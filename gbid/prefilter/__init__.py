@@ -1,4 +1,4 @@
-"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of offsets, median of three."""
+"""Prefilter (paper, Sec. 3.5): map of run-out and unbalance, removal of spikes and offsets, running median."""
 
 import sys
 from types import ModuleType
@@ -12,9 +12,11 @@ from gbid.prefilter.median import running_median
 from gbid.prefilter.online import OnlinePrefilter
 from gbid.prefilter.prefilter import PrefilterReport, prefilter
 from gbid.prefilter.runout import RunoutMap
+from gbid.prefilter.spikes import Despiked, remove_spikes
 from gbid.prefilter.store import load_prefilter, save_prefilter
 
 __all__ = [
+    "Despiked",
     "IndexAlignment",
     "Leftover",
     "OnlinePrefilter",
@@ -27,6 +29,7 @@ __all__ = [
     "identify_runout",
     "load_prefilter",
     "prefilter",
+    "remove_spikes",
     "running_median",
     "runout_leftover",
     "save_prefilter",

@@ -1,4 +1,4 @@
-"""Running median, and the count of the spikes it removes."""
+"""Running median (paper, Sec. 3.5)."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from scipy.ndimage import median_filter
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-
-SPIKE_SIGMAS = 5.0
 
 
 def running_median(values: FloatArray, size: int) -> FloatArray:
@@ -45,29 +43,3 @@ def running_median(values: FloatArray, size: int) -> FloatArray:
     if half:
         filtered[half:-half] = median_filter(values, size=(size, 1))[half:-half]
     return filtered
-
-
-def count_spikes(before: FloatArray, after: FloatArray) -> tuple[int, ...]:
-    """Return the number of samples per channel that a filter moved further than noise explains.
-
-    The threshold is 5 robust standard deviations (from the median of magnitudes) of the distance between a sample and
-    the middle of its two neighbours. Noise and curvature determine this distance, single spikes do not change it.
-
-    Parameters
-    ----------
-    before, after : (n_samples, n_channels) array
-        The signal before and after the filter.
-
-    Returns
-    -------
-    tuple of int
-        One count per channel.
-    """
-    if len(before) < 3:
-        return tuple(0 for _ in before.T)
-    off_middle = before[1:-1] - (before[:-2] + before[2:]) / 2
-    sigma = 1.4826 * np.median(np.abs(off_middle), axis=0)
-    # A coarsely quantised signal is constant more than half of the time; then its median of magnitudes is zero.
-    sigma = np.where(sigma > 0, sigma, off_middle.std(axis=0))
-    moved = np.abs(after - before) > SPIKE_SIGMAS * sigma
-    return tuple(int(np.count_nonzero(column)) for column in moved.T)

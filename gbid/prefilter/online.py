@@ -1,4 +1,4 @@
-"""Online prefilter for a controller, sample by sample, with the same results as the offline filter, bit for bit."""
+"""Online prefilter for a controller, sample by sample; where no spike is found, equal to the offline filter."""
 
 from __future__ import annotations
 
@@ -16,9 +16,12 @@ from gbid.prefilter.runout import RunoutMap
 class OnlinePrefilter:
     """Online prefilter: run-out map, constant offset and median, one sample at a time (paper, Sec. 3.5 and conclusion).
 
-    The results are those of `gbid.prefilter` on the whole recording, to the last bit, with two differences that every
+    The results are those of `gbid.prefilter` on the whole recording, to the last bit, with three differences that every
     causal filter has:
 
+    - Spikes stay. To tell a spike from a step of the signal, the offline filter needs later samples: seven to judge a
+      sample, two to replace it. Where the offline filter finds no spike, both filters agree. A controller that must not
+      see spikes takes ``median=3``.
     - The median of 3 needs the next sample. `step` therefore returns the value of ``median // 2`` samples ago: one
       sample (0.2 ms) for the median of 3 in the paper, none for ``median=1``. The first ``median // 2`` calls return
       None. `finish` returns the remaining values.
@@ -49,7 +52,7 @@ class OnlinePrefilter:
     [array([2.])]
     """
 
-    def __init__(self, runout_map: RunoutMap | None, *, offset: npt.ArrayLike | None = None, median: int = 3) -> None:
+    def __init__(self, runout_map: RunoutMap | None, *, offset: npt.ArrayLike | None = None, median: int = 1) -> None:
         if median < 1 or median % 2 == 0:
             raise UsageError(f"median = {median}; give an odd number of samples, 1 for none")
         self._map = runout_map

@@ -1,4 +1,4 @@
-"""Prefilter that prepares measured signals for a linear model (paper, Sec. 3.5)."""
+"""Prefilter that prepares measured signals for a linear model (paper, Sec. 3.5), with spikes found one by one."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.hdf5 import NOT_STORED, Stored
-from gbid.prefilter.median import count_spikes, running_median
+from gbid.prefilter.median import running_median
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
+from gbid.prefilter.spikes import remove_spikes
 from gbid.recording import Recording
 
 _NO_MEAN = ("phi", "force")  # an angle and an impact have no offset to remove
@@ -40,7 +41,9 @@ class PrefilterReport:
     harmonics : (n_orders, n_channels) array
         Amplitudes of the harmonics 1, 2, ... of the map [m]; no rows without a map or for a shaft at rest.
     spikes : tuple of int
-        Number of samples per channel of p that the median moved by more than 5 robust standard deviations.
+        Number of wrong samples found in each channel of p.
+    spike_samples : tuple of tuple of int
+        Their sample numbers, from 0, for each channel; empty for a report of gbid 0.1.0, which kept the number alone.
     median : int
         Size of the median filter, 1 for none.
     map_sources : tuple of str
@@ -56,8 +59,9 @@ class PrefilterReport:
     offsets: Annotated[Mapping[str, FloatArray], NOT_STORED]
     runout_share: Annotated[FloatArray, Stored("1", "part of the variance taken out by the run-out map", "channels")]
     harmonics: Annotated[FloatArray, Stored("m", "amplitudes of the harmonics of the map", "orders channels")]
-    spikes: Annotated[tuple[int, ...], Stored("1", "samples moved far by the median")]
+    spikes: Annotated[tuple[int, ...], Stored("1", "wrong samples found in each channel")]
     median: int
+    spike_samples: Annotated[tuple[tuple[int, ...], ...], NOT_STORED] = ()
     map_sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -67,19 +71,22 @@ def prefilter(
     runout_map: RunoutMap | None = None,
     *,
     position: str = "p",
-    median: int = 3,
+    spikes: bool = True,
+    median: int = 1,
     remove_mean: bool = True,
     any_condition: bool = False,
 ) -> tuple[Recording, PrefilterReport]:
     """Return a recording without run-out, unbalance response, offsets and spikes, and a report.
 
-    The order is: ``p = p_raw - F_r(phi)``; subtract the means of all signals but angle and force; apply the median to
-    p. The paper removes the mean of the disc position only. A linear model from u to p (Eq. 6) or from r to u (Eq.
-    14) has no constant term, so the mean of its input must be removed as well. Without noise and filters, the means
-    of one recording agree with the static gain up to the effect of the ends of the record, which is some nanometres
-    in 5 s.
+    The order is: ``p = p_raw - F_r(phi)``; replace spikes of p; subtract the means of all signals but angle and force;
+    apply the median to p, when one is asked for. The paper removes the mean of the disc position only. A linear model
+    from u to p (Eq. 6) or from r to u (Eq. 14) has no constant term, so the mean of its input must be removed as well.
+    Without noise and filters, the means of one recording agree with the static gain up to the effect of the ends of the
+    record, which is some nanometres in 5 s.
 
-    The median colours white noise and reduces crests, see `running_median`. ``median=1`` switches it off.
+    A spike is a run of at most three samples that its neighbours on both sides contradict, see `remove_spikes`. All
+    other samples stay as they are. The paper's way is ``spikes=False, median=3``. That median changes correct samples,
+    too: it colours white noise and reduces crests, see `running_median`, and confidence intervals become too narrow.
 
     Parameters
     ----------
@@ -89,6 +96,9 @@ def prefilter(
         Map from `identify_runout` at the same operating point. Without a map no run-out is removed.
     position : str
         Name of the measured position, ``"p"`` on the published rig.
+    spikes : bool
+        Whether spikes of the position are replaced. They are reported in any case. Switch it off for a signal in which
+        single samples may differ from their neighbours, such as the acceleration during an impact.
     median : int
         Size of the median filter on the position, odd; 1 for none.
     remove_mean : bool
@@ -126,12 +136,19 @@ def prefilter(
         variance = before[position].var(axis=0)
         share = np.where(variance > 0, 1 - after[position].var(axis=0) / np.where(variance > 0, variance, 1), 0.0)
         steps.append(f"run-out map ({runout_map.method}) of {', '.join(runout_map.sources)} subtracted from {position}")
+    despiked = remove_spikes(after[position], measured=before[position])
+    counts = tuple(len(samples) for samples in despiked.samples)
+    if spikes:
+        after[position] = despiked.values
+        if any(counts):
+            steps.append(f"{sum(counts)} spikes of {position} replaced")
+    elif any(counts) and median == 1:
+        notes.append(f"{sum(counts)} spikes of {position} were found and left; spikes: true replaces them")
     offsets = {name: values.mean(axis=0) * remove_mean for name, values in after.items()}
     if remove_mean:
         after = {name: values - offsets[name] for name, values in after.items()}
         steps.append(f"means of {', '.join(after)} removed")
-    unfiltered = after[position]
-    after[position] = running_median(unfiltered, median)
+    after[position] = running_median(after[position], median)
     if median > 1:
         steps.append(f"median of {median} on {position}")
     report = PrefilterReport(
@@ -142,8 +159,9 @@ def prefilter(
         offsets=offsets,
         runout_share=share,
         harmonics=runout_map.amplitudes() if runout_map else np.zeros((0, before[position].shape[1])),
-        spikes=count_spikes(unfiltered, after[position]),
+        spikes=counts,
         median=median,
+        spike_samples=tuple(tuple(int(k) for k in samples) for samples in despiked.samples),
         map_sources=runout_map.sources if runout_map else (),
         notes=tuple(notes),
     )

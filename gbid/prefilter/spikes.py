@@ -123,7 +123,7 @@ def _off_both_sides(x: FloatArray, start: int, stop: int, limit: float) -> bool:
 
 
 def _bridged(x: FloatArray, start: int, stop: int) -> tuple[FloatArray, float]:
-    """Return the cubic through two samples on each side of a run, and the largest interpolation error that it leaves."""
+    """Return the cubic through two samples on each side of a run, and the largest interpolation error left."""
     nodes = np.array([start - 2, start - 1, stop, stop + 1])
     run = np.arange(start, stop)
     bridge = np.zeros(len(run))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated
 
 import h5py
+import numpy as np
 
 from gbid import hdf5
 from gbid.arrays import FloatArray
@@ -108,6 +109,9 @@ def _write_map(group: h5py.Group, made: RunoutMap) -> None:
 
 def _write_report(group: h5py.Group, report: PrefilterReport) -> None:
     hdf5.write_fields(group, report)
+    if report.spike_samples:
+        places = np.array([k for samples in report.spike_samples for k in samples], dtype=np.int64)
+        hdf5.add_dataset(group, "spike_samples", places, "1", "numbers of the wrong samples, channel by channel")
     hdf5.add_texts(group, "signals", report.channels)
     for name, channels in report.channels.items():
         signal = _Signal(channels, report.rms_before[name], report.rms_after[name], report.offsets[name])
@@ -117,7 +121,7 @@ def _write_report(group: h5py.Group, report: PrefilterReport) -> None:
 def _read_report(group: h5py.Group) -> PrefilterReport:
     names = hdf5.read_texts(group, "signals")
     signals = {name: hdf5.read_fields(hdf5.read_group(group, name), _Signal) for name in names}
-    return hdf5.read_fields(
+    report = hdf5.read_fields(
         group,
         PrefilterReport,
         channels={name: signal.channels for name, signal in signals.items()},
@@ -125,3 +129,15 @@ def _read_report(group: h5py.Group) -> PrefilterReport:
         rms_after={name: signal.rms_after for name, signal in signals.items()},
         offsets={name: signal.offset for name, signal in signals.items()},
     )
+    return replace(report, spike_samples=_spike_samples(group, report.spikes))
+
+
+def _spike_samples(group: h5py.Group, counts: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
+    """Return the sample numbers of the spikes of each channel; gbid 0.1.0 stored their number alone."""
+    if "spike_samples" not in group:
+        return ()
+    places = hdf5.read_dataset(group, "spike_samples")
+    if places.shape != (sum(counts),):
+        raise hdf5.DamagedError(f"{group.name}/spike_samples has shape {places.shape}, expected ({sum(counts)},)")
+    parts = np.split(places, np.cumsum(counts)[:-1])
+    return tuple(tuple(int(k) for k in part) for part in parts)

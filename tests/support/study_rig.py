@@ -42,7 +42,7 @@ def prefiltered(pressure, speed, *, duration_s=5.0, seed=0, name="prbs", noise=3
     if speed:
         still = record(machine, Stationary(duration_s=5.0), conditions=conditions, seed=seed, name=f"{name}-still")
         runout = identify_runout([still])
-    return prefilter(made, runout, median=1)[0]
+    return prefilter(made, runout)[0]
 
 
 def with_coloured_noise(recording, seed, std=30e-9, pole=0.9):

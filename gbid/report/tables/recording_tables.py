@@ -8,6 +8,9 @@ from gbid.prefilter import PrefilterReport
 from gbid.report.tables.fit_document import Row
 from gbid.tables.table import Column, Table
 
+SHOWN_SPIKES = 10
+"""Sample numbers of spikes that a row of the prefilter names."""
+
 
 def recording_table(rows: Sequence[Row]) -> Table:
     """Table of recordings with their length and operating point."""
@@ -37,6 +40,7 @@ def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
             "runout_share": float(report.runout_share[i]),
             "harmonics": [float(amplitude) for amplitude in report.harmonics[:, i]],
             "spikes": report.spikes[i],
+            "first_spikes": list(report.spike_samples[i][:SHOWN_SPIKES]) if report.spike_samples else [],
             "notes": list(report.notes),
         }
         for report in reports

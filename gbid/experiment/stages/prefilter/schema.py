@@ -16,5 +16,6 @@ class PrefilterSection(Section):
     align_index: Switch = False
     harmonics: Count = 10
     bins: Annotated[int, Strict(), Field(ge=4)] = 100
-    median: Count = 3
+    spikes: Switch = True
+    median: Count = 1
     remove_mean: Switch = True

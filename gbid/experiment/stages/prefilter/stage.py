@@ -106,7 +106,9 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
             raw = align_index(runout_map, raw).apply(raw)
         else:
             _refuse_lost_index(runout_map, raw)
-    filtered, report = prefilter(raw, runout_map, median=section.median, remove_mean=section.remove_mean)
+    filtered, report = prefilter(
+        raw, runout_map, spikes=section.spikes, median=section.median, remove_mean=section.remove_mean
+    )
     save_recording(filtered, part, overwrite=True)
     add_report(part, report)
 

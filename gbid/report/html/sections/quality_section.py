@@ -66,7 +66,8 @@ def _prefilter(results: Results) -> list[Block]:
         return [Words("The prefilter has not run yet.", "warn")]
     worse = [row for row in rows if row["runout_share"] < -WORSE]
     median = "none" if section.median == 1 else f"{section.median} samples"
-    words = f"Run-out map: {section.method}; median: {median}; mean {'removed' if section.remove_mean else 'kept'}."
+    spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
+    words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
     table = Table(
         "What the prefilter took out of the disc position",
         [
