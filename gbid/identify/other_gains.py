@@ -14,6 +14,7 @@ from itertools import product
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.identify.nlp.hessian import neighbours
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
@@ -81,7 +82,7 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArr
     joined, kept = in_one_window(problem)
     theta, starts = joined.unpack(unknowns[kept])
     values = joined.values(theta)
-    if _neighbours(joined.errors(values, starts)) < _STRONGLY:
+    if neighbours(joined, unknowns[kept]) < _STRONGLY:
         return None
     least, found = joined.cost(joined.error_products(values, starts)), None
     size = np.abs(theta[gains]).max()
@@ -93,10 +94,3 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArr
         if cost < least:
             least, found = cost, moved
     return None if found is None else in_windows(problem, joined, joined.pack(found, starts))
-
-
-def _neighbours(errors: list[FloatArray]) -> float:
-    """Correlation of errors of neighbouring samples, that of the output where it is largest."""
-    products = sum(np.einsum("gkyw,gkyw->y", e[:, 1:], e[:, :-1]) for e in errors)
-    squares = sum(np.einsum("gkyw,gkyw->y", e, e) for e in errors)
-    return float(np.max(products / np.maximum(squares, np.finfo(float).tiny)))

@@ -40,6 +40,7 @@ def exact_columns(
     ends: FloatArray,
     curvatures: Sequence[FloatArray],
     weight: FloatArray,
+    wanted: Sequence[Sequence[int]] | None = None,
 ) -> list[PartHessian]:
     """Second derivatives of cost and weighted ends by each predictor's own parameters.
 
@@ -56,6 +57,8 @@ def exact_columns(
         are chosen by their sum.
     weight : (n_y, n_y) array
         Of the errors; it is held, so that parts do not depend on each other.
+    wanted : sequence of sequence of int, optional
+        For each part which of its own parameters; all when not given. Columns of others are zero.
 
     Returns
     -------
@@ -68,21 +71,22 @@ def exact_columns(
     units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
     values = problem.values(theta)
     here = own_gradients(problem, values, starts, ends, weight)
-    counts = [len(part.predictor.free) for part in problem.parts]
+    everything = [range(len(part.predictor.free)) for part in problem.parts]
+    wanted = everything if wanted is None else wanted
     columns = [
-        PartHessian(np.zeros((n_p, n_p)), np.zeros((part.blocks.n_windows, n_p, problem.n_states)))
-        for part, n_p in zip(problem.parts, counts, strict=True)
+        PartHessian(np.zeros((len(own),) * 2), np.zeros((part.blocks.n_windows, len(own), problem.n_states)))
+        for part, own in zip(problem.parts, everything, strict=True)
     ]
-    for j in range(max(counts)):
+    for k in range(max(map(len, wanted))):
         moved = [
-            _moved(problem, part, theta, j, units) if j < n_p else (v, 1.0)
-            for part, n_p, v in zip(problem.parts, counts, values, strict=True)
+            _moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0)
+            for part, own, v in zip(problem.parts, wanted, values, strict=True)
         ]
         there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
-        for found, n_p, (_, step), after, before in zip(columns, counts, moved, there, here, strict=True):
-            if j < n_p:
-                found.theta[:, j] = (after.theta - before.theta) / step
-                found.mixed[:, j] = (after.starts - before.starts) / step
+        for found, own, (_, step), after, before in zip(columns, wanted, moved, there, here, strict=True):
+            if k < len(own):
+                found.theta[:, own[k]] = (after.theta - before.theta) / step
+                found.mixed[:, own[k]] = (after.starts - before.starts) / step
     return columns
 
 

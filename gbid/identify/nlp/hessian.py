@@ -19,6 +19,7 @@ from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 
 _REFRESH = 2  # iterations for which exact columns serve
+_COLOURED = 0.1  # correlation of neighbouring errors, above which they do not count as white
 _LEAST = 0.01  # of Gauss-Newton's curvature
 _FLAT = 1e-12  # of the largest: parameters that a part does not tell apart
 
@@ -45,6 +46,9 @@ class GaussNewton:
 class ExactHessian:
     """Gauss-Newton at each point, and what it leaves out of the parameters' columns, made anew every few iterations.
 
+    With white errors that is the columns of the disturbance gain alone: what the gain does is made of the errors
+    themselves. With coloured ones it is all columns.
+
     Each part is made convex by itself (`held_up`): among several, the solver would shift the whole Hessian for the
     sake of one.
     """
@@ -52,6 +56,7 @@ class ExactHessian:
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
         self._calls = 0
+        self._coloured = False
         self._left_out: list[PartHessian] = []
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
@@ -60,7 +65,8 @@ class ExactHessian:
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
         if self._calls % _REFRESH == 0:
-            self._left_out = left_out_columns(problem, unknowns, lam_gaps)
+            self._coloured = self._coloured or neighbours(problem, unknowns) > _COLOURED
+            self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._coloured)
         self._calls += 1
         convex = [
             PartHessian(held_up(own.theta, kept.theta), own.mixed)
@@ -101,7 +107,18 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
     return np.asarray((outward * (np.maximum(np.abs(1 + ratio), _LEAST) - 1)) @ outward.T)
 
 
-def left_out_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray) -> list[PartHessian]:
+def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
+    """Return the correlation of neighbouring errors, that of the output where it is largest."""
+    theta, starts = problem.unpack(unknowns)
+    errors = problem.errors(problem.values(theta), starts)
+    products = sum(np.einsum("gkyw,gkyw->y", e[:, 1:], e[:, :-1]) for e in errors)
+    squares = sum(np.einsum("gkyw,gkyw->y", e, e) for e in errors)
+    return float(np.max(np.abs(products) / np.maximum(squares, np.finfo(float).tiny)))
+
+
+def left_out_columns(
+    problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, *, everything: bool = True
+) -> list[PartHessian]:
     """Return what Gauss-Newton leaves out of the weighted squares, for the parameters of each part.
 
     The weight is that of the errors, and is held. Off the minimum the logarithm of the squares curves less, and where
@@ -113,6 +130,8 @@ def left_out_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArr
     unknowns : (n_unknowns,) array
         Scaled.
     lam_gaps : (n_gaps,) array
+    everything : bool
+        Whether for all parameters or, where none are tied, for the disturbance gain alone.
 
     Returns
     -------
@@ -121,20 +140,29 @@ def left_out_columns(problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArr
     """
     iterate = problem.at(unknowns)
     kept = gauss_newton_of(problem, iterate)
+    wanted = [
+        range(len(part.predictor.free)) if everything or part.tie is not None else part.predictor.noise
+        for part in problem.parts
+    ]
     weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
     curvatures = [
         np.diag(gn.theta) / problem.theta_scale[part.index] ** 2 for part, gn in zip(problem.parts, kept, strict=True)
     ]
-    exact = exact_columns(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight)
+    exact = exact_columns(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight, wanted)
     found = []
-    for part, (theta, mixed), gn in zip(problem.parts, exact, kept, strict=True):
+    for part, own, (theta, mixed), gn in zip(problem.parts, wanted, exact, kept, strict=True):
         scale = problem.theta_scale[part.index]
         if part.tie is not None:
             theta, mixed = part.tie.T @ theta @ part.tie, np.einsum("wjn,jp->wpn", mixed, part.tie)
         theta = theta * np.outer(scale, scale) - gn.theta
         mixed = mixed * (scale[:, None] * problem.state_scale) - gn.mixed
-        finite = np.isfinite(theta).all() and np.isfinite(mixed).all()
-        found.append(PartHessian((theta + theta.T) / 2, mixed) if finite else PartHessian(0 * gn.theta, 0 * gn.mixed))
+        left = PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed))
+        at = list(own) if part.tie is None else list(range(len(part.index)))
+        if np.isfinite(theta).all() and np.isfinite(mixed).all():
+            theta[np.ix_(at, at)] = (theta[np.ix_(at, at)] + theta[np.ix_(at, at)].T) / 2
+            left.theta[:, at], left.mixed[:, at] = theta[:, at], mixed[:, at]
+            left.theta[at] = theta[:, at].T
+        found.append(left)
     return found
 
 
