@@ -35,10 +35,10 @@ def _from_schema_1(file: h5py.File) -> None:
         counts = {key: int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed")}
         tried = StartsTried(int(options["starts"]), **counts, spread=float(options["starts_spread"]))
         hdf5.write_fields(file.create_group("multi_start"), tried)
-    file.attrs["status"] = _status(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
+    file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
 
 
-def _status(text: str, *, success: bool) -> FitStatus:
+def status_of_text(text: str, *, success: bool) -> FitStatus:
     """Return the status of a text; of version 0.1.0, which added words of its own, the nearest one."""
     if text in list(FitStatus):
         return FitStatus(text)

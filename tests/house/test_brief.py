@@ -10,7 +10,7 @@ from experiment_files import gbid as run_gbid
 import gbid
 from gbid.brief import WIDTH, brief, counted, in_words
 from gbid.control.assessment.assess import assess
-from gbid.control.tuning.gain_result import GainResult, WorstMode
+from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.validate.scores import summarise
 
 LINES = 20
@@ -89,7 +89,9 @@ def test_designs(machine):
     found = assess(machine, "P", {"kappa_x": 0.1, "kappa_y": 0.1}, [(6.0, 0.0), (5.0, 0.0)])
     assert lines_of(found)[0] == "Assessment: P, 2 operating points, stable"
     assert repr(gbid.compare_designs([found])) == str(gbid.compare_designs([found]))
-    gains = GainResult({"kappa_x": 0.5}, 0.3, "damping", "optimal", True, 0.0, "loops", WorstMode("6 bar", 90.0, 0.3))
+    gains = GainResult(
+        {"kappa_x": 0.5}, 0.3, "damping", GainStatus.OPTIMAL, 0.0, "loops", WorstMode("6 bar", 90.0, 0.3)
+    )
     lines = lines_of(gains)
     assert lines[0] == "GainResult: damping 0.3, optimal"
     assert lines[1].split() == ["gains", "kappa_x", "=", "0.5"]

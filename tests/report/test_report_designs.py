@@ -13,6 +13,7 @@ from experiment_files import gbid as command
 
 import gbid
 from gbid import report
+from gbid.control import GainStatus
 from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
@@ -140,7 +141,7 @@ def test_faults_of_designs_stand_on_top(page, results) -> None:
     top = page[page.index('id="summary"') : page.index('id="controller"')]
     assert "controller held: held back by kappa_x at its upper bound" in top
     assert not re.search("controller feedback: (held|peak)", top)  # 2.0, well below the cap
-    lost = replace(held, result=replace(held.result, success=False, status="limits contradict", violation=0.1))
+    lost = replace(held, result=replace(held.result, status=GainStatus.LIMITS_CONTRADICT, violation=0.1))
     assert held_back(lost)[0] == "limits contradict, limits exceeded by 10 %"
 
 

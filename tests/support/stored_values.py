@@ -153,7 +153,6 @@ def impact_study():
         n_impacts=2,
         recordings=("hit",),
         harmonics=0,
-        success=True,
         status=RingDownStatus.CONVERGED,
     )
     return ImpactStudy(

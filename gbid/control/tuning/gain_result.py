@@ -62,8 +62,6 @@ class GainResult:
     status : GainStatus
         Why the search ended. When limits contradict or no gains stabilise, the gains are those with the smallest
         violation found.
-    success : bool
-        Whether the status is ``OPTIMAL``.
     violation : float
         Largest relative violation of a limit; 0 when all limits hold.
     verified_on : str
@@ -92,7 +90,6 @@ class GainResult:
     value: float
     objective: str
     status: GainStatus
-    success: bool
     violation: float
     verified_on: str
     worst: WorstMode
@@ -108,6 +105,11 @@ class GainResult:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
+
+    @property
+    def success(self) -> bool:
+        """Whether the status is ``OPTIMAL``."""
+        return self.status is GainStatus.OPTIMAL
 
     def __repr__(self) -> str:
         known = {

@@ -173,7 +173,6 @@ def summarise(
         problem.in_units(score.value),
         problem.limits.objective,
         status,
-        status is GainStatus.OPTIMAL,
         score.violation,
         verified_on,
         worst,

@@ -146,8 +146,7 @@ def fit_lpv_direct(
         result,
         model=replace(result.model, name=name or model.name),
         options=options,
-        status=str(solved.solution.status),
-        success=solved.solution.status.success,
+        status=solved.solution.status,
         notes=tuple(notes),
     )
 

@@ -26,6 +26,7 @@ from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import best_order, compare_orders, lack_of_fit
 from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, huber_estimate, outliers, standardised
 from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, chosen_exponents, distinct_points, orthonormal, term_name
+from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS
 from gbid.threads import one_blas_thread
 
@@ -245,8 +246,8 @@ def _impossible(model: LPVModel) -> tuple[str, ...]:
     pressure, speed = (side.ravel() for side in grid)
     found = model.key_parameters(pressure, speed)
     return tuple(
-        f"{key} is negative in part of the domain, {1e3 * found[key].min():.3g} ms at "
-        f"{pressure[found[key].argmin()]:g} bar, {speed[found[key].argmin()]:g} rpm; the model cannot be used there"
+        f"{key} is negative in part of the domain, {1e3 * found[key][at]:.3g} ms at "
+        f"{point_label(pressure[at], speed[at])}; the model cannot be used there"
         for key in ("tau_x", "tau_y")
-        if np.min(found[key]) < 0
+        if found[key][at := int(np.argmin(found[key]))] < 0
     )

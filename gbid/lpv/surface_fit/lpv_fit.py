@@ -13,6 +13,7 @@ from gbid.arrays import FloatArray
 from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
+from gbid.identify import FitStatus
 from gbid.lpv.basis import TERMS, regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
 from gbid.lpv.model import LPVModel
@@ -49,10 +50,8 @@ class LPVFit:
         p-value of the hypothesis that the polynomials are of sufficient order; nan when not known.
     options : dict of str to str
         Options of the fit: method, weighting, order, robust.
-    status : str
-        Status of the fit.
-    success : bool
-        Whether the fit succeeded.
+    status : FitStatus
+        Status of the fit; a weighted fit always converges.
     notes : tuple of str
         Remarks for the reader of the result.
     """
@@ -65,9 +64,13 @@ class LPVFit:
     orders: tuple[OrderScore, ...] = ()
     lack_of_fit: Annotated[FloatArray, _LACK] = field(default_factory=lambda: np.full(len(KEY_PARAMETERS), np.nan))
     options: Mapping[str, str] = field(default_factory=dict)
-    status: str = "converged"
-    success: bool = True
+    status: FitStatus = FitStatus.CONVERGED
     notes: tuple[str, ...] = ()
+
+    @property
+    def success(self) -> bool:
+        """Whether the fit converged."""
+        return self.status.success
 
     def __repr__(self) -> str:
         return brief(

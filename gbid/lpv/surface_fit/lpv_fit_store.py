@@ -10,6 +10,7 @@ import numpy as np
 
 from gbid import hdf5
 from gbid.errors import DataError, UsageError
+from gbid.identify.store import status_of_text
 from gbid.lpv.basis import TERMS
 from gbid.lpv.load import load_model, save_model
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
@@ -31,6 +32,7 @@ def _from_schema_1(file: h5py.File) -> None:
         hdf5.add_texts(file.require_group("outliers"), name, [outlier[name] for outlier in outliers])
     for name in ("deviation", "standardised"):
         hdf5.add_dataset(file["outliers"], name, [outlier[name] for outlier in outliers], "", name)
+    file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
 
 
 KIND = hdf5.Kind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
@@ -68,7 +70,7 @@ def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: st
 def write_uncertainty(fit: LPVFit, file: h5py.File, key: str) -> None:
     """Write all of a fit but its model."""
     hdf5.write_fields(file, fit)
-    file.attrs.update({"key": key, "model": fit.model.name})
+    file.attrs.update({"key": key, "model": fit.model.name, "success": fit.success})
     hdf5.add_texts(file, "parameters", KEY_PARAMETERS)
     hdf5.add_texts(file, "terms", TERMS)
     words = "coefficients, parameters by terms"

@@ -181,12 +181,11 @@ def _result(
         slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
         spread = slope @ covariance @ slope.T
     std = np.sqrt(np.diag(spread))
-    success = status is RingDownStatus.CONVERGED
     notes: tuple[str, ...] = () if solved.converged else (f"the solver stopped: {solved.message}",)
     doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
     if doubles:
         notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")
-    if success and std[0] + std[2] > modes[2] - modes[0]:
+    if status is RingDownStatus.CONVERGED and std[0] + std[2] > modes[2] - modes[0]:
         notes = (*notes, "the frequencies differ by less than their uncertainty: which mode is which is not certain")
     return RingDown(
         modes[::2],
@@ -201,7 +200,6 @@ def _result(
         sum(len(impacts) for impacts in found),
         tuple(rec.name for rec in group),
         harmonics,
-        success,
         status,
         notes,
     )

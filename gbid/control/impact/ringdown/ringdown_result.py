@@ -50,8 +50,6 @@ class RingDown:
         Names of the recordings.
     harmonics : int
         Number of estimated harmonics of the shaft angle.
-    success : bool
-        Whether the status is ``CONVERGED``.
     status : RingDownStatus
         Why the fit ended.
     notes : tuple of str
@@ -70,7 +68,6 @@ class RingDown:
     n_impacts: int
     recordings: tuple[str, ...]
     harmonics: int
-    success: bool
     status: RingDownStatus
     notes: tuple[str, ...] = ()
 
@@ -79,9 +76,14 @@ class RingDown:
         return [(float(f), float(z)) for f, z in zip(self.frequency_hz, self.damping, strict=True)]
 
     @property
+    def success(self) -> bool:
+        """Whether the status is ``CONVERGED``."""
+        return self.status is RingDownStatus.CONVERGED
+
+    @property
     def aperiodic(self) -> bool:
         """Whether the response is so strongly damped that it has no two oscillations; then the fit cannot succeed."""
-        return self.status == RingDownStatus.NO_OSCILLATIONS
+        return self.status is RingDownStatus.NO_OSCILLATIONS
 
     def interval(self, level: float = 0.95) -> FloatArray:
         """Return confidence intervals, shape (4, 2): frequency 1, damping 1, frequency 2, damping 2.

@@ -17,8 +17,6 @@ def held_back(design: TunedDesign) -> list[str]:
     found = []
     if not result.success:
         found.append(f"{result.status}, limits exceeded by {100 * result.violation:.2g} %")
-    elif result.status != "optimal":
-        found.append(result.status)
     stuck = [text for text in result.active if text.endswith("bound")]
     if stuck:
         found.append(f"held back by {', '.join(stuck)}; wider bounds may damp more")
