@@ -17,7 +17,7 @@ from gbid.control.impact.half_sine import HalfSine, ImpactResponse, impact_respo
 from gbid.control.impact.impact_store import load_impacts, save_impacts
 from gbid.control.impact.measured import MeasuredImpact, find_impacts
 from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
-from gbid.control.impact.ringdown.ringdown_result import RingDown
+from gbid.control.impact.ringdown.ringdown_result import RingDown, RingDownStatus
 from gbid.control.impact.ringing_modes import ringing_modes
 from gbid.control.impact.study import ImpactStudy, study_impacts
 from gbid.control.impact.validation import ImpactValidation, validate_impact
@@ -39,7 +39,7 @@ from gbid.control.loop.norm import Peak, peak_gain
 from gbid.control.loop.sampled import SampledLoop, exact_plant, sampled_loop
 from gbid.control.loop.sampling import sample_controller, sample_plant
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
-from gbid.control.tuning.gain_result import GainResult, WorstMode
+from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.control.tuning.maximise import maximise_damping
 from gbid.control.tuning.pareto import ParetoFront, pareto
 from gbid.control.tuning.search.step import SearchStep
@@ -53,6 +53,7 @@ __all__ = [
     "ControllerDesign",
     "DiskMargin",
     "GainResult",
+    "GainStatus",
     "HalfSine",
     "ImpactFigures",
     "ImpactResponse",
@@ -66,6 +67,7 @@ __all__ = [
     "Peak",
     "PointAssessment",
     "RingDown",
+    "RingDownStatus",
     "SampledLoop",
     "Scheduled",
     "SearchStep",
