@@ -143,7 +143,7 @@ def characterise_piezo(
     channel, command_channel = _channels(recording, command, position, channel, command_channel)
     x = recording.signal(command)[:, [recording.channels[command].index(command_channel)]]
     y = recording.signal(position)[:, recording.channels[position].index(channel)]
-    own = Recording({command: x}, recording.sample_time, name=recording.name)
+    own = Recording({command: x}, recording.sample_time, name=recording.name, units=recording.units)
     plateaus = find_plateaus(own, command)
     steady = steady_means(y[:, None], steady_parts(own, plateaus, keep))
     level, at = plateaus.level[:, 0], steady.mean[:, 0]

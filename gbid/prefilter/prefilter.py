@@ -30,6 +30,8 @@ class PrefilterReport:
         Name of the recording.
     channels : dict of str to tuple of str
         Channel names of the signals of the recording, without angle and force.
+    units : dict of str to str
+        Units of these signals.
     rms_before, rms_after : dict of str to (n_channels,) array
         Root mean square of each of these signals about its mean, in the unit of the signal.
     offsets : dict of str to (n_channels,) array
@@ -54,6 +56,7 @@ class PrefilterReport:
 
     name: str
     channels: Annotated[Mapping[str, tuple[str, ...]], NOT_STORED]
+    units: Annotated[Mapping[str, str], NOT_STORED]
     rms_before: Annotated[Mapping[str, FloatArray], NOT_STORED]
     rms_after: Annotated[Mapping[str, FloatArray], NOT_STORED]
     offsets: Annotated[Mapping[str, FloatArray], NOT_STORED]
@@ -154,6 +157,7 @@ def prefilter(
     report = PrefilterReport(
         name=rec.name,
         channels={name: rec.channels[name] for name in before},
+        units={name: rec.units[name] for name in before},
         rms_before={name: values.std(axis=0) for name, values in before.items()},
         rms_after={name: values.std(axis=0) for name, values in after.items()},
         offsets=offsets,

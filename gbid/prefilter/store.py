@@ -25,9 +25,9 @@ class _Signal:
     """What a report says of one signal."""
 
     channels: Annotated[tuple[str, ...], Stored(shape="channels")]
-    rms_before: Annotated[FloatArray, Stored("m", "rms about the mean before the prefilter", "channels")]
-    rms_after: Annotated[FloatArray, Stored("m", "rms about the mean after the prefilter", "channels")]
-    offset: Annotated[FloatArray, Stored("m", "mean removed", "channels")]
+    rms_before: Annotated[FloatArray, Stored("unit", "rms about the mean before the prefilter", "channels")]
+    rms_after: Annotated[FloatArray, Stored("unit", "rms about the mean after the prefilter", "channels")]
+    offset: Annotated[FloatArray, Stored("unit", "mean removed", "channels")]
 
 
 def save_prefilter(
@@ -115,7 +115,7 @@ def _write_report(group: h5py.Group, report: PrefilterReport) -> None:
     hdf5.add_texts(group, "signals", report.channels)
     for name, channels in report.channels.items():
         signal = _Signal(channels, report.rms_before[name], report.rms_after[name], report.offsets[name])
-        hdf5.write_fields(group.create_group(name), signal)
+        hdf5.write_fields(group.create_group(name), signal, {"unit": report.units[name]})
 
 
 def _read_report(group: h5py.Group) -> PrefilterReport:
@@ -125,6 +125,7 @@ def _read_report(group: h5py.Group) -> PrefilterReport:
         group,
         PrefilterReport,
         channels={name: signal.channels for name, signal in signals.items()},
+        units={name: hdf5.read_text(group[name]["offset"], "units") for name in names},
         rms_before={name: signal.rms_before for name, signal in signals.items()},
         rms_after={name: signal.rms_after for name, signal in signals.items()},
         offsets={name: signal.offset for name, signal in signals.items()},

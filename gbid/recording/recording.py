@@ -23,8 +23,7 @@ class Recording:
     Parameters
     ----------
     signals : dict of str to (n_samples, n_channels) array
-        Known names are r, u, p (channels x and y, m), phi (rad) and force (N). Other names are allowed. Rows are
-        samples, columns are channels; arrays are never transposed.
+        Names are free. Rows are samples, columns are channels; arrays are never transposed.
     sample_time : float
         Time between samples [s].
     conditions : dict of str to float, optional
@@ -32,10 +31,10 @@ class Recording:
     name : str, optional
         Name of the recording, used in files, tables and messages.
     units : dict of str to str, optional
-        Unit of each signal; known signals have their own, others default to ``""``.
+        Unit of each signal, ``""`` where none is given. No unit is taken from a name: u may be metres or volts.
     channels : dict of str to tuple of str, optional
-        Channel names of each signal. Known signals with their usual number of channels have their own, others default
-        to ``"1", "2", ...``.
+        Channel names of each signal. Signals of the rig with their usual number of channels have their own, others
+        default to ``"1", "2", ...``.
     provenance : dict of str to str, optional
         Texts about the origin of the data, stored with the file.
 
@@ -75,7 +74,7 @@ class Recording:
         for name, values in signals.items():
             known, n = SIGNALS.get(name), values.shape[1]
             default = known.channels if known and len(known.channels) == n else tuple(str(i + 1) for i in range(n))
-            units[name] = self.units.get(name, known.unit if known else "")
+            units[name] = self.units.get(name, "")
             channels[name] = tuple(self.channels.get(name, default))
             if len(channels[name]) != n:
                 names = ", ".join(channels[name])

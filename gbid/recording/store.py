@@ -103,7 +103,8 @@ def _write_signals(group: h5py.Group, rec: Recording) -> None:
     hdf5.add_texts(group, "axes", ["time", "."])
     hdf5.add_dataset(group, "time", rec.time, "s", "time from the first sample")
     for name, values in rec.signals.items():
-        long_name = SIGNALS[name].long_name if name in SIGNALS else name
+        known = SIGNALS.get(name)
+        long_name = known.long_name if known and known.unit == rec.units[name] else name  # else another rig's
         dataset = hdf5.add_dataset(group, name, values, rec.units[name], long_name)
         hdf5.add_texts(dataset, "channels", rec.channels[name])
 

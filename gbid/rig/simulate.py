@@ -24,6 +24,7 @@ from gbid.rig.provenance import provenance_of, spans
 from gbid.rig.stepping.forces import Forces, draw_noise, draw_whirl
 from gbid.rig.stepping.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
 from gbid.rig.stepping.stepped_motion import RigEngine, SteppedMotion, stepped_motion
+from gbid.units import SIGNALS
 
 Experiment = Stationary | Prbs | Staircase | StackStaircase | Hammer | RunUp
 Simulation = Literal["auto", "exact", "stepping"]
@@ -201,6 +202,7 @@ def record(
         sample_time,
         conditions=conditions,
         name=name,
+        units={signal: SIGNALS[signal].unit for signal in signals},
         provenance=provenance_of(
             machine,
             experiment,

@@ -49,6 +49,7 @@ def synthetic(axis, seed=0, noise=100e-9, pole=0.9, cubic=0.0, offset=OFFSET):
         TS,
         {"pressure_bar": 6.0, "speed_rpm": 0.0},
         f"stairs_{'xy'[axis]}{seed}",
+        units={"r": "m", "u": "m", "p": "m"},
     )
 
 
@@ -238,7 +239,8 @@ def loop(hysteresis=8.4e-6, n=10, hold=500, creep=0.0, top=45e-6, noise=0.0):
     slow = 1 - np.exp(-(since) / 0.05)
     y = y - step * np.exp(-since / 1e-3) + creep * step * (slow - 1)
     y = y + noise * np.random.default_rng(2).standard_normal(len(y))
-    return Recording({"v": v[:, None], "y_p": y[:, None]}, TS, name="stack 4", channels={"v": ("4",), "y_p": ("4",)})
+    channels, units = {"v": ("4",), "y_p": ("4",)}, {"v": "V", "y_p": "m"}
+    return Recording({"v": v[:, None], "y_p": y[:, None]}, TS, name="stack 4", channels=channels, units=units)
 
 
 def test_hysteresis_of_a_known_loop():

@@ -150,6 +150,7 @@ def test_units_of_a_rig_of_ones_own(tmp_path):
     refused(path, mapping, "signal 'u'", "column 'a'", "no unit", error=UsageError)
     mapping = {"signals": {"u": {"columns": ["a", "b"], "unit": "V"}}, "sample_time": DT}
     refused(path, mapping, "signal 'u'", "'V' cannot be converted to 'm'", error=UsageError)
+    refused(path, mapping, "rename the signal, or give stored_unit: V", error=UsageError)
 
 
 def test_npz_vectors_and_columns(tmp_path):

@@ -15,10 +15,11 @@ RNG = np.random.default_rng(1)
 
 def make(n=N, **signals):
     noise = np.random.default_rng(2).standard_normal((n, 2))
-    return Recording({"p": noise, **signals}, 2e-4, {"pressure_bar": 6}, name="a")
+    units = {"p": "m", "u": "m", "phi": "rad"}
+    return Recording({"p": noise, **signals}, 2e-4, {"pressure_bar": 6}, name="a", units=units)
 
 
-def test_known_signals_have_their_units_and_channels():
+def test_signals_have_the_given_units_and_the_rigs_channels():
     rec = make(phi=np.linspace(0, 1, N)[:, None], mine=np.ones((N, 3)))
     assert dict(rec.units) == {"p": "m", "phi": "rad", "mine": ""}
     assert dict(rec.channels) == {"p": ("x", "y"), "phi": ("phi",), "mine": ("1", "2", "3")}

@@ -30,7 +30,7 @@ def rec():
         sample_time=2e-4,
         conditions={"speed_rpm": 6000, "pressure_bar": 5, "gain": 0.5},
         name="prbs 1",
-        units={"aux": "V"},
+        units={"u": "m", "p": "m", "aux": "V"},
         channels={"aux": ("a", "b", "c")},
         provenance={"source_file": "x.mat"},
     )

@@ -30,6 +30,7 @@ def recording():
         2e-4,
         {"pressure_bar": 5.0, "speed_rpm": 6000.0},
         "run é",
+        {"p": "m", "phi": "rad"},
         provenance={"source_file": "x.mat"},
     )
 
@@ -111,6 +112,7 @@ def report():
     return PrefilterReport(
         name="run",
         channels={"u": ("x", "y"), "p": ("x", "y")},
+        units={"u": "m", "p": "m"},
         rms_before={"u": numbers(2), "p": numbers(2)},
         rms_after={"u": numbers(2), "p": numbers(2)},
         offsets={"u": numbers(2), "p": numbers(2)},

@@ -179,14 +179,28 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Col
         what = f"signal {name!r}, column {column!r}"
         unit = _file_unit(path, what, signal.unit, columns[column].unit)
         if unit is None and stored:
-            raise UsageError(f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored})")
+            instead = f"; {_another(name, '...')}" if known and signal.stored_unit is None else ""
+            text = f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored}){instead}"
+            raise UsageError(text)
         units[column] = unit or ""
     if stored is None:
         stored = units[signal.columns[0]]
-    values = [
-        columns[c].values * _factor(path, f"signal {name!r}, column {c!r}", units[c], stored) for c in signal.columns
-    ]
+    values = []
+    for column in signal.columns:
+        try:
+            factor = _factor(path, f"signal {name!r}, column {column!r}", units[column], stored)
+        except UsageError as error:
+            if known is None or signal.stored_unit is not None:
+                raise
+            raise UsageError(f"{error}; {_another(name, units[column])}") from None
+        values.append(columns[column].values * factor)
     return np.column_stack(values), stored
+
+
+def _another(name: str, unit: str) -> str:
+    """Return what to do when a signal has the name of one of the rig, and is another quantity."""
+    known = SIGNALS[name]
+    return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
 
 
 def _file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:

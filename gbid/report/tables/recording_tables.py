@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 
 from gbid.prefilter import PrefilterReport
 from gbid.report.tables.fit_document import Row
+from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Column, Table
 
 SHOWN_SPIKES = 10
@@ -29,11 +30,12 @@ def recording_table(rows: Sequence[Row]) -> Table:
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
-    """Plain values of what the prefilter took out of each channel of p [m]."""
+    """Plain values of what the prefilter took out of each channel of p, in the unit of p."""
     return [
         {
             "recording": report.name,
             "channel": f"p_{channel}",
+            "unit": report.units["p"],
             "rms_before": float(report.rms_before["p"][i]),
             "rms_after": float(report.rms_after["p"][i]),
             "offset": float(report.offsets["p"][i]),
@@ -48,20 +50,27 @@ def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
     ]
 
 
+def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
+    """Factor and unit in which rows of the prefilter are shown; as they are where the recordings differ in unit."""
+    units = list(dict.fromkeys(row["unit"] for row in rows))
+    return shown_unit(units[0]) if len(units) == 1 else (1.0, " or ".join(units))
+
+
 def prefilter_table(rows: Sequence[Row]) -> Table:
     """Table of what the prefilter took out, from `prefilter_rows`."""
+    factor, unit = position_unit(rows)
     columns = [
         Column("recording"),
         Column(""),
-        Column("rms before\n", "µm", ".3f"),
-        Column("after\n", "µm", ".3f"),
+        Column("rms before\n", unit, ".3f"),
+        Column("after\n", unit, ".3f"),
         Column("run-out\nshare", format=".1%"),
-        Column("harmonics\n1, 2, 3", "µm"),
+        Column("harmonics\n1, 2, 3", unit),
         Column("spikes", format="d"),
     ]
     laid = []
     for row in rows:
-        harmonics = " ".join(f"{1e6 * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
-        sizes = (1e6 * row["rms_before"], 1e6 * row["rms_after"])
+        harmonics = " ".join(f"{factor * amplitude:.2f}" for amplitude in row["harmonics"][:3]) or None
+        sizes = (factor * row["rms_before"], factor * row["rms_after"])
         laid.append([row["recording"], row["channel"], *sizes, row["runout_share"], harmonics, row["spikes"]])
     return Table("prefilter", columns, laid)

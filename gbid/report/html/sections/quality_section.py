@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from gbid.report.html.page import Block, Fold, Listed, PageSection, Words, in_units, point_words
 from gbid.report.reader import Results
+from gbid.report.tables.recording_tables import position_unit
 from gbid.tables.table import Column, Table
 
 ALIKE = 0.5
 """Correlation of the two excitations above which their effects are hard to tell apart."""
 WORSE = 1e-3
 """Share of the variance by which a run-out map may enlarge the position without being named."""
-_NANO = 1e9
 
 
 def quality_section(results: Results) -> PageSection:
@@ -68,14 +68,15 @@ def _prefilter(results: Results) -> list[Block]:
     median = "none" if section.median == 1 else f"{section.median} samples"
     spikes, mean = ("replaced" if section.spikes else "kept"), ("removed" if section.remove_mean else "kept")
     words = f"Run-out map: {section.method}; spikes: {spikes}; median: {median}; mean {mean}."
+    factor, unit = position_unit(rows)
     table = Table(
         "What the prefilter took out of the disc position",
         [
             Column("recording"),
             Column("channel"),
-            Column("rms before", "nm", ".1f"),
-            Column("rms after", "nm", ".1f"),
-            Column("offset", "nm", ".2f"),
+            Column("rms before", unit, 4),
+            Column("rms after", unit, 4),
+            Column("offset", unit, 4),
             Column("run-out share", "%", ".2f"),
             Column("spikes", format="d"),
         ],
@@ -83,7 +84,7 @@ def _prefilter(results: Results) -> list[Block]:
             (
                 row["recording"],
                 row["channel"],
-                *(_NANO * row[key] for key in ("rms_before", "rms_after", "offset")),
+                *(factor * row[key] for key in ("rms_before", "rms_after", "offset")),
                 100 * row["runout_share"],
                 row["spikes"],
             )
