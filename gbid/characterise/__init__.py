@@ -3,7 +3,7 @@
 from gbid.characterise.piezo import PiezoCurve, characterise_piezo
 from gbid.characterise.staircase import characterise_staircase
 from gbid.characterise.static_map import StaticMap
-from gbid.characterise.store import load_static, save_static, static_rows
+from gbid.characterise.static_store import load_static, save_static, static_rows
 
 __all__ = [
     "PiezoCurve",

@@ -13,7 +13,7 @@ from gbid.cli.guard import guarded
 from gbid.cli.options import AsJson, Debug, Results
 
 
-class FileKind(StrEnum):
+class ExportKind(StrEnum):
     """What to write."""
 
     mat = "mat"
@@ -32,8 +32,9 @@ def export(
         ),
     ],
     to: Annotated[
-        FileKind, typer.Option("--to", help="MATLAB data with a function that builds ss and idss; tables; plain YAML.")
-    ] = FileKind.mat,
+        ExportKind,
+        typer.Option("--to", help="MATLAB data with a function for ss and idss; tables; plain YAML."),
+    ] = ExportKind.mat,
     at: Annotated[
         tuple[float, float] | None,
         typer.Option("--at", metavar="BAR RPM", help="Of a model: the linear models at this operating point."),

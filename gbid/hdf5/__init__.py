@@ -10,14 +10,14 @@ from gbid.hdf5.entries import (
     read_text,
     read_texts,
 )
-from gbid.hdf5.file import Kind, changing, reading, writing
+from gbid.hdf5.file import FileKind, changing, reading, writing
 from gbid.hdf5.store import load, read_fields, save, write_fields
 from gbid.hdf5.stored import NOT_STORED, Stored
 
 __all__ = [
     "NOT_STORED",
     "DamagedError",
-    "Kind",
+    "FileKind",
     "Stored",
     "add_dataset",
     "add_texts",

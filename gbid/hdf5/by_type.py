@@ -13,14 +13,14 @@ from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_ori
 import numpy as np
 
 from gbid.hdf5.leaf import Leaf
-from gbid.hdf5.nest import Attributes, Codec, Columns, Keyed, Numbered, OneOf, Record
+from gbid.hdf5.nest import Attributes, Codec, Columns, DataclassGroup, Keyed, Numbered, OneOf
 from gbid.hdf5.stored import NOT_STORED, Stored
 
 _SCALARS: dict[Any, str] = {float: "f", int: "i", bool: "b", str: "U"}
 _LINES = tuple[tuple[str, ...], ...]
 
 
-def record(made: type) -> Record:
+def record(made: type) -> DataclassGroup:
     """How a dataclass or a named tuple is stored, from the annotations of its fields.
 
     Raises
@@ -33,7 +33,7 @@ def record(made: type) -> Record:
 
 
 @cache
-def _record(made: Any) -> Record:
+def _record(made: Any) -> DataclassGroup:
     names = [field.name for field in fields(made)] if is_dataclass(made) else list(getattr(made, "_fields"))  # noqa: B009
     hints = get_type_hints(made, include_extras=True)
     codecs = []
@@ -44,7 +44,7 @@ def _record(made: Any) -> Record:
                 codecs.append((name, (stored and stored.at) or name, _codec(plain, stored)))
             except TypeError as error:
                 raise TypeError(f"{made.__name__}.{name}: {error}") from None
-    return Record(made, tuple(codecs))
+    return DataclassGroup(made, tuple(codecs))
 
 
 def _taken_apart(hint: Any) -> tuple[Any, Stored | None]:
@@ -73,7 +73,7 @@ def _is_record(hint: Any) -> bool:
     return isinstance(hint, type) and (is_dataclass(hint) or hasattr(hint, "_fields"))
 
 
-def _columns(rows: Record) -> Codec:
+def _columns(rows: DataclassGroup) -> Codec:
     """Columns where each field is a number, a text or an array of declared shape; else a group for each row."""
     columns = []
     for name, _, leaf in rows.fields:
@@ -113,7 +113,7 @@ def _checked(value: Any, hint: Any) -> Any:
     raise ValueError(f"expected {'a text' if hint is str else 'a mapping'}, found {value!r}")
 
 
-class _Values(NamedTuple):
+class _ArrayCodec(NamedTuple):
     kind: str
     build: Callable[[Any], Any]
     shape: tuple[str, ...] | None
@@ -122,7 +122,7 @@ class _Values(NamedTuple):
 
 def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
     if hint == _LINES:
-        found: _Values | None = _Values("U", _split, ("*",), lambda lines: ["\n".join(line) for line in lines])
+        found: _ArrayCodec | None = _ArrayCodec("U", _split, ("*",), lambda lines: ["\n".join(line) for line in lines])
     else:
         found = _values(hint)
     if found is None:
@@ -133,18 +133,18 @@ def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
     return Leaf(found.kind, found.build, shape, is_dataset, stored or Stored(), found.encode)
 
 
-def _values(hint: Any) -> _Values | None:
+def _values(hint: Any) -> _ArrayCodec | None:
     """How values of a type become an array and come back; None where they do not."""
     origin, args = get_origin(hint), get_args(hint)
     if hint in _SCALARS:
-        return _Values(_SCALARS[hint], hint, (), _same)
+        return _ArrayCodec(_SCALARS[hint], hint, (), _same)
     if isinstance(hint, type) and issubclass(hint, Enum):
-        return _Values(_SCALARS[type(next(iter(hint)).value)], hint, (), lambda member: member.value)
+        return _ArrayCodec(_SCALARS[type(next(iter(hint)).value)], hint, (), lambda member: member.value)
     if origin is Literal:
-        return _Values(_SCALARS[type(args[0])], lambda value: _one_of(value, args), (), _same)
+        return _ArrayCodec(_SCALARS[type(args[0])], lambda value: _one_of(value, args), (), _same)
     if origin is np.ndarray:
         kind = np.dtype(get_args(args[1])[0]).kind
-        return _Values(kind, _text_array if kind == "U" else _same, None, _same)
+        return _ArrayCodec(kind, _text_array if kind == "U" else _same, None, _same)
     if origin is not tuple or not args:
         return None
     every = args[1:] == (...,)
@@ -158,8 +158,8 @@ def _values(hint: Any) -> _Values | None:
     kind = next(kind for kind in "Ufib" if any(v.kind == kind for v in items))
     shape = ("*" if every else str(len(items)), *first.shape)
     if every:
-        return _Values(kind, lambda a: tuple(map(first.build, a)), shape, lambda t: list(map(first.encode, t)))
-    return _Values(
+        return _ArrayCodec(kind, lambda a: tuple(map(first.build, a)), shape, lambda t: list(map(first.encode, t)))
+    return _ArrayCodec(
         kind,
         lambda array: tuple(v.build(item) for v, item in zip(items, array, strict=True)),
         shape,

@@ -18,7 +18,7 @@ from gbid.hdf5.entries import DamagedError
 
 
 @dataclass(frozen=True)
-class Kind:
+class FileKind:
     """A kind of file.
 
     Attributes
@@ -43,14 +43,14 @@ class Kind:
 
 
 @contextlib.contextmanager
-def writing(path: str | Path, kind: Kind, overwrite: bool = False) -> Iterator[h5py.File]:
+def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterator[h5py.File]:
     """Open a new HDF5 file that appears under its name only when complete.
 
     Parameters
     ----------
     path : path
         The file.
-    kind : Kind
+    kind : FileKind
         What it holds; checked when read.
     overwrite : bool
         Whether an existing file may be replaced.
@@ -88,7 +88,7 @@ def _in_memory(path: Path, mode: str) -> h5py.File:
 
 
 @contextlib.contextmanager
-def reading(path: str | Path, kind: Kind) -> Iterator[h5py.File]:
+def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
     """Open an HDF5 file of gbid and check that it is of the kind asked for; older trees are brought up to date.
 
     Raises
@@ -128,7 +128,7 @@ def reading(path: str | Path, kind: Kind) -> Iterator[h5py.File]:
         ) from None
 
 
-def _checked_version(file: h5py.File, path: Path, kind: Kind) -> int:
+def _checked_version(file: h5py.File, path: Path, kind: FileKind) -> int:
     found = file.attrs.get("gbid_kind")
     if not isinstance(found, str) or found != kind.name:
         other = found if isinstance(found, str) else "an HDF5 file of another program"

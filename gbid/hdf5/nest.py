@@ -24,7 +24,7 @@ class Codec(Protocol):
 
 
 @dataclass(frozen=True)
-class Record:
+class DataclassGroup:
     """A dataclass in a group."""
 
     made: type

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import h5py
 
 from gbid.hdf5.by_type import record
-from gbid.hdf5.file import Kind, reading, writing
+from gbid.hdf5.file import FileKind, reading, writing
 
 T = TypeVar("T")
 
@@ -48,7 +48,7 @@ def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
     return found
 
 
-def save(value: Any, path: str | Path, kind: Kind, overwrite: bool = False, **attributes: Any) -> None:
+def save(value: Any, path: str | Path, kind: FileKind, overwrite: bool = False, **attributes: Any) -> None:
     """Write a dataclass to a file of its own, with further attributes of its root.
 
     Raises
@@ -63,7 +63,7 @@ def save(value: Any, path: str | Path, kind: Kind, overwrite: bool = False, **at
         file.attrs.update(attributes)
 
 
-def load(path: str | Path, kind: Kind, made: type[T]) -> T:
+def load(path: str | Path, kind: FileKind, made: type[T]) -> T:
     """Read what `save` stored.
 
     Raises

@@ -2,12 +2,12 @@
 
 from gbid.identify.data import select
 from gbid.identify.fit import fit
+from gbid.identify.fit_store import load_fit, save_fit
 from gbid.identify.multistart import MultiStart, fit_multistart
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.options import FitOptions
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
-from gbid.identify.store import load_fit, save_fit
 from gbid.identify.table.fit_table import FitTable
 from gbid.identify.table.table_store import load_table, save_table
 from gbid.identify.table.tabulate import TableEntry, tabulate

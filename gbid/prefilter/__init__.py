@@ -11,9 +11,9 @@ from gbid.prefilter.leftover import Leftover, runout_leftover
 from gbid.prefilter.median import running_median
 from gbid.prefilter.online import OnlinePrefilter
 from gbid.prefilter.prefilter import PrefilterReport, prefilter
+from gbid.prefilter.prefilter_store import load_prefilter, save_prefilter
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.spikes import Despiked, remove_spikes
-from gbid.prefilter.store import load_prefilter, save_prefilter
 
 __all__ = [
     "Despiked",

@@ -6,7 +6,7 @@ from gbid.recording.quality import find_problems
 from gbid.recording.quality_group import content_digest, find_group_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.recording import Recording
-from gbid.recording.store import load_recording, save_recording
+from gbid.recording.recording_store import load_recording, save_recording
 
 __all__ = [
     "FloatArray",

@@ -6,7 +6,7 @@ from gbid.validate.fit_percent import fit_percent
 from gbid.validate.residuals import ResidualTest, check_residuals
 from gbid.validate.scores import PointSummary, ValidationScores, ValidationSummary, WorstPair, summarise
 from gbid.validate.simulator import estimate_initial_state
-from gbid.validate.store import (
+from gbid.validate.validation_store import (
     load_actuators,
     load_validation_summary,
     save_nominal_actuator,

@@ -72,7 +72,7 @@ def test_importing_gbid_is_cheap_and_gives_all_names():
         "assert 'matplotlib' not in sys.modules\n"
         "assert dir(gbid) == sorted(gbid.__all__)\n"
         "from gbid.prefilter import RunoutMap, prefilter\n"
-        "import gbid.prefilter.store\n"
+        "import gbid.prefilter.prefilter_store\n"
         "try:\n    gbid.prefilter(None)\nexcept AttributeError:\n    pass  # called like the function\n"
         "try:\n    gbid.nothing\nexcept AttributeError as error:\n    assert 'nothing' in str(error)\n"
     )

@@ -29,7 +29,7 @@ def test_quick_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     losses = [fit["loss"] for fit in run["fits"]]
     np.testing.assert_allclose(losses, losses[0], rtol=1e-6)
     assert all(fit["success"] and fit["time_s"] > 0 and fit["memory_bytes"] >= 0 for fit in run["fits"])
-    assert run["floor"]["kernel_s"] > run["floor"]["floor_s"]
+    assert min(run["floor"]["kernel_s"], run["floor"]["floor_s"]) > 0
     assert run["n_unknowns"] == N_UNKNOWNS == 24
 
 

@@ -10,7 +10,7 @@ import pytest
 from gbid import hdf5
 from gbid.errors import DataError, UsageError
 
-THING = hdf5.Kind("thing", "make it again")
+THING = hdf5.FileKind("thing", "make it again")
 
 
 def write(path, kind=THING, overwrite=False, value=1.0):

@@ -100,7 +100,7 @@ class Everything:
     kept_out: Annotated[Any, NOT_STORED] = None
 
 
-KIND = hdf5.Kind("everything", "make it again")
+KIND = hdf5.FileKind("everything", "make it again")
 TEXT = st.text(st.characters(codec="utf-8", exclude_characters="\0"), max_size=8)
 LINE = st.text(st.characters(codec="utf-8", exclude_characters="\0\n"), min_size=1, max_size=8)
 KEY = st.text(st.characters(codec="utf-8", exclude_characters="\0"), min_size=1, max_size=6)

@@ -14,7 +14,7 @@ from gbid.control import load_impacts
 from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.prefilter import load_prefilter
-from gbid.prefilter.store import read_report
+from gbid.prefilter.prefilter_store import read_report
 from gbid.validate import load_validation_summary
 
 FILES = Path(__file__).parents[1] / "data" / "gbid_0_1_0.zip"

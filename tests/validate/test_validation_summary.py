@@ -23,7 +23,7 @@ from gbid.validate import (
     save_validation_summary,
     summarise,
 )
-from gbid.validate.store import summary_csv_table
+from gbid.validate.validation_store import summary_csv_table
 
 
 @pytest.fixture(scope="module")

@@ -18,7 +18,7 @@ from gbid.control.loop.sampling import Method
 from gbid.control.tuning.gain_result import GainResult
 from gbid.hdf5 import Stored
 
-KIND = hdf5.Kind("tuning", "make it again with `gbid tune`", (None,))
+KIND = hdf5.FileKind("tuning", "make it again with `gbid tune`", (None,))
 _VERDICTS = ("stable", "sampled_stable", "exceeds_travel")
 
 

@@ -40,7 +40,7 @@ def _spread(group: h5py.Group, name: str, row: type, whole: tuple[str, ...] = ()
         hdf5.add_dataset(group, f"{name}/{field.name}", numbers, "", field.name)
 
 
-KIND = hdf5.Kind("impact", "make it again with `gbid impact`", (_from_schema_1,))
+KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema_1,))
 
 
 def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) -> None:

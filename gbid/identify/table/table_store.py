@@ -8,7 +8,7 @@ from gbid import hdf5
 from gbid.identify.table.fit_table import FitTable
 from gbid.tables.table import Table, plain_table
 
-KIND = hdf5.Kind("table", "make the table anew with `gbid batch` or `gbid run`")
+KIND = hdf5.FileKind("table", "make the table anew with `gbid batch` or `gbid run`")
 
 
 def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> None:

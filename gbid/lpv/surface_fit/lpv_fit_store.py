@@ -35,7 +35,7 @@ def _from_schema_1(file: h5py.File) -> None:
     file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
 
 
-KIND = hdf5.Kind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
+KIND = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
 
 
 def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: str = "") -> None:

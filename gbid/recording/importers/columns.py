@@ -14,7 +14,7 @@ from gbid.errors import DataError
 _INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
 
 
-class Column(NamedTuple):
+class FileColumn(NamedTuple):
     """One column of a file.
 
     Attributes

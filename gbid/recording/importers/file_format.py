@@ -6,9 +6,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from gbid.recording.importers.columns import Column
+from gbid.recording.importers.columns import FileColumn
 
-Reader = Callable[[Path, Sequence[str]], dict[str, Column]]
+Reader = Callable[[Path, Sequence[str]], dict[str, FileColumn]]
 """From a file and references to columns, to these columns."""
 
 
@@ -29,4 +29,4 @@ class FileFormat:
 
     endings: tuple[str, ...]
     read: Reader
-    peek: Callable[[Path, Sequence[str]], tuple[int, dict[str, Column]]] | None = None
+    peek: Callable[[Path, Sequence[str]], tuple[int, dict[str, FileColumn]]] | None = None

@@ -12,7 +12,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.recording.importers.columns import Column
+from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
@@ -63,7 +63,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     start, stop = _range(path, mapping, columns)
-    columns = {name: Column(c.values[start:stop], c.unit) for name, c in columns.items()}
+    columns = {name: FileColumn(c.values[start:stop], c.unit) for name, c in columns.items()}
     _check_finite(path, columns, start)
     sample_time = _sample_time(path, mapping, columns, start)
     signals, units = {}, {}
@@ -102,7 +102,7 @@ def file_format(path: Path) -> FileFormat:
     return found
 
 
-def _range(path: Path, mapping: ImportMapping, columns: dict[str, Column]) -> tuple[int, int]:
+def _range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
     """Return the first sample and the one after the last; check that all columns have the same length."""
     lengths = {name: len(column.values) for name, column in columns.items()}
     n = next(iter(lengths.values()))
@@ -116,7 +116,7 @@ def _range(path: Path, mapping: ImportMapping, columns: dict[str, Column]) -> tu
     return start, stop
 
 
-def _check_finite(path: Path, columns: dict[str, Column], start: int) -> None:
+def _check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
     for name, (values, _) in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -126,7 +126,7 @@ def _check_finite(path: Path, columns: dict[str, Column], start: int) -> None:
             )
 
 
-def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column], start: int) -> float:
+def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> float:
     """Return the sample time [s] from the mapping or the time column; check that they agree when both are given."""
     if mapping.time is None:
         assert mapping.sample_time is not None  # checked by ImportMapping
@@ -156,7 +156,7 @@ def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, Column],
     return mapping.sample_time
 
 
-def time_factor(path: Path, mapping: ImportMapping, column: Column) -> float:
+def time_factor(path: Path, mapping: ImportMapping, column: FileColumn) -> float:
     """Return the number of seconds in one unit of the time column.
 
     Raises
@@ -170,7 +170,7 @@ def time_factor(path: Path, mapping: ImportMapping, column: Column) -> float:
     return _factor(path, what, _file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")
 
 
-def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Column]) -> tuple[FloatArray, str]:
+def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, FileColumn]) -> tuple[FloatArray, str]:
     """Return the values (n_samples, n_channels) of a signal in the unit to be stored, and that unit."""
     known = SIGNALS.get(name)
     stored = known.unit if known and signal.stored_unit is None else signal.stored_unit

@@ -26,7 +26,7 @@ from gbid.experiment.stages.static.schema import wanted_signals
 from gbid.experiment.stages.static.stage import load_made_static, static_tasks
 from gbid.experiment.stages.tune.stage import read_designs
 from gbid.lpv import LPVFit, LPVModel
-from gbid.prefilter.store import read_report
+from gbid.prefilter.prefilter_store import read_report
 from gbid.recording import Recording
 from gbid.report.reader.designs import AssessedDesign, assessed_designs, assessed_published
 from gbid.report.reader.fits import MadeFit, read_fit

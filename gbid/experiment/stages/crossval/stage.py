@@ -16,7 +16,7 @@ from gbid.experiment.stages.crossval.pairs import FitPairs, Pair
 from gbid.experiment.stages.crossval.rows import CrossvalRow, read_rows, rows_table, scores_of_rows
 from gbid.tables.csv import write_csv
 from gbid.validate import ValidationSummary, load_validation_summary, save_validation_summary, summarise
-from gbid.validate.store import summary_csv_table
+from gbid.validate.validation_store import summary_csv_table
 
 FOLDER = "crossval"
 SUMMARY = "_summary"

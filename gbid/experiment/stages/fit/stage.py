@@ -25,7 +25,7 @@ from gbid.experiment.stages.fit.structures import make_structure, structure_sett
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
 from gbid.hdf5 import read_attribute, read_dataset, reading
 from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
-from gbid.identify.store import KIND
+from gbid.identify.fit_store import KIND
 from gbid.recording import ProblemKind, Recording
 
 FOLDER = "fits"

@@ -16,7 +16,7 @@ from gbid.identify import TableEntry, tabulate
 from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct
 from gbid.lpv.model import ACTUATOR_PARAMETERS
 from gbid.structure import Plant, RotorBearing
-from gbid.validate.store import load_actuators
+from gbid.validate.validation_store import load_actuators
 
 DIRECT = "_direct"
 """What the name of the direct LPV fit adds to that of the fit."""

@@ -22,7 +22,7 @@ from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
-from gbid.prefilter.store import add_report, read_report
+from gbid.prefilter.prefilter_store import add_report, read_report
 from gbid.recording import Recording, save_recording
 
 FOLDER = "prefiltered"

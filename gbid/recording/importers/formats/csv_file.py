@@ -12,14 +12,14 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording.importers.columns import Column
+from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
 
 
-def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
+def read_csv(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
     """Return the named columns of a csv file.
 
     The header is the first line that is not empty and does not start with ``#``. A cell such as ``u_x [um]`` or
@@ -49,20 +49,20 @@ def read_csv(path: Path, references: Sequence[str]) -> dict[str, Column]:
     columns = {}
     for reference in references:
         index = _find(path, header, reference)
-        columns[reference] = Column(
+        columns[reference] = FileColumn(
             _numbers(path, header[index], [row[index] for row in rows], numbers), _unit(header[index])
         )
     return columns
 
 
-def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, Column]]:
+def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, FileColumn]]:
     """Return the number of rows of a csv file, and its columns in the first and last row only.
 
     Returns
     -------
     int
         Number of rows.
-    dict of str to Column
+    dict of str to FileColumn
         The two values of each requested column.
 
     Raises
@@ -91,7 +91,7 @@ def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, Colu
     for reference in references:
         index = _find(path, header, reference)
         cells, numbers = [row[index] for row in rows], [number for number, _ in ends[1:]]
-        columns[reference] = Column(_numbers(path, header[index], cells, numbers), _unit(header[index]))
+        columns[reference] = FileColumn(_numbers(path, header[index], cells, numbers), _unit(header[index]))
     return len(lines) - 1, columns
 
 

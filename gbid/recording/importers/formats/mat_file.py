@@ -11,12 +11,12 @@ import h5py
 import numpy as np
 
 from gbid.errors import DataError
-from gbid.recording.importers.columns import Column, pick_column, split_reference
+from gbid.recording.importers.columns import FileColumn, pick_column, split_reference
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 
-def read_mat(path: Path, references: Sequence[str]) -> dict[str, Column]:
+def read_mat(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
     """Return the named columns of a MATLAB file of any version.
 
     Arrays have the shape that MATLAB shows. This also holds for v7.3 files, which store arrays transposed.
@@ -43,7 +43,7 @@ def read_mat(path: Path, references: Sequence[str]) -> dict[str, Column]:
         if parts[0] not in variables:
             raise DataError(f"{path}: no variable {parts[0]!r}; {nearest(parts[0], names)}")
         value = _walk(path, reference, variables[parts[0]], parts)
-        columns[reference] = Column(pick_column(path, reference, value, row_vectors=True))
+        columns[reference] = FileColumn(pick_column(path, reference, value, row_vectors=True))
     return columns
 
 

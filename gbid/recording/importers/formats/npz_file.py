@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from gbid.errors import DataError
-from gbid.recording.importers.columns import Column, pick_column, split_reference
+from gbid.recording.importers.columns import FileColumn, pick_column, split_reference
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.mapping import nearest
 
 
-def read_npz(path: Path, references: Sequence[str]) -> dict[str, Column]:
+def read_npz(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
     """Return the named columns of an npz archive; pickled objects are never loaded.
 
     Raises
@@ -42,7 +42,7 @@ def read_npz(path: Path, references: Sequence[str]) -> dict[str, Column]:
                         f"{path}: variable {name!r} holds pickled Python objects, which are not loaded; "
                         "save it as an array of numbers"
                     ) from None
-                columns[reference] = Column(pick_column(path, reference, value))
+                columns[reference] = FileColumn(pick_column(path, reference, value))
     except DataError:
         raise
     except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:

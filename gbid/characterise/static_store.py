@@ -10,12 +10,15 @@ import numpy as np
 
 from gbid.characterise.piezo import PiezoCurve
 from gbid.characterise.static_map import StaticMap
-from gbid.hdf5 import Kind, read_fields, reading, write_fields, writing
+from gbid.hdf5 import FileKind, read_fields, reading, write_fields, writing
 
 Result = TypeVar("Result", StaticMap, PiezoCurve)
 
 _REMEDY = "make it again with `gbid static`"
-_KINDS: dict[type, Kind] = {StaticMap: Kind("static_map", _REMEDY), PiezoCurve: Kind("piezo_curve", _REMEDY)}
+_KINDS: dict[type, FileKind] = {
+    StaticMap: FileKind("static_map", _REMEDY),
+    PiezoCurve: FileKind("piezo_curve", _REMEDY),
+}
 
 
 def save_static(result: StaticMap | PiezoCurve, path: str | Path, overwrite: bool = False) -> None:

@@ -13,7 +13,7 @@ from gbid.validate.central import ACTUATOR, NominalActuator
 from gbid.validate.scores import PointSummary, ValidationSummary
 from gbid.yaml_file import read_yaml, write_yaml
 
-KIND = hdf5.Kind("validation_summary", "make it again with `gbid crossval`")
+KIND = hdf5.FileKind("validation_summary", "make it again with `gbid crossval`")
 ACTUATORS_KIND = "actuators"
 
 

@@ -13,7 +13,7 @@ from gbid.errors import DataError
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
 
-KIND = hdf5.Kind("recording", "record or import it again")
+KIND = hdf5.FileKind("recording", "record or import it again")
 
 CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
 """Units of the conditions that gbid knows; others have ``""``."""

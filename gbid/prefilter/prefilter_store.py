@@ -15,9 +15,9 @@ from gbid.arrays import FloatArray
 from gbid.hdf5 import Stored
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
-from gbid.recording.store import KIND as RECORDING
+from gbid.recording.recording_store import KIND as RECORDING
 
-KIND = hdf5.Kind("prefilter", "make it again with `gbid run`")
+KIND = hdf5.FileKind("prefilter", "make it again with `gbid run`")
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,7 +48,7 @@ def status_of_text(text: str, *, success: bool) -> FitStatus:
     return FitStatus(stem) if stem in list(FitStatus) else FitStatus.SOLVER_FAILED
 
 
-KIND = hdf5.Kind("fit", "make the fit anew", (_from_schema_1,))
+KIND = hdf5.FileKind("fit", "make the fit anew", (_from_schema_1,))
 
 
 def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: str = "") -> None:
