@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, innovations, levels, simulated
+from scipy.linalg import toeplitz
 from scipy.signal import lfilter
-from scipy.stats import kstest, norm
+from scipy.stats import chi2, kstest, norm
 
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
-from gbid.validate import check_residuals
+from gbid.validate import check_residuals, estimate_initial_state
+from gbid.validate.residuals import _verdict
 
 LAG = LinearStructure(
     "lag",
@@ -199,3 +201,60 @@ def test_the_simulation_of_a_mode_leaves_its_white_noise():
     found = check_residuals(fit(MODE, rec, focus="simulation"), rec)
     assert found.p_white[0] > 0.01
     assert found.rms[0] == pytest.approx(0.3, rel=0.05)
+
+
+# ---- numbers by their formulas ----
+
+
+def correlations(a, b, lags):
+    """``sum a[k] b[k + l] / (|a| |b|)`` at lags 0, 1, ..."""
+    size = np.sqrt((a @ a) * (b @ b))
+    return np.array([a[: len(a) - lag] @ b[lag:] for lag in range(lags + 1)]) / size
+
+
+def test_band_and_probability_are_those_of_bartletts_covariance(data, result):
+    """Of coloured residuals and a slow input, whose correlations at neighbouring lags are nearly the same number."""
+    lags = 20
+    poor = replace(result, model=replace(result.model, K=None))
+    slow = data.with_signals(u=levels(4000, hold=60, seed=2))
+    found = check_residuals(poor, slow, lags=lags)
+    u, y = slow.signal("u"), slow.signal("y")
+    state = estimate_initial_state(poor.model, u, y, H, poor.options.intersample)
+    e = (y - poor.model.simulate(u, H, initial_state=state, intersample=poor.options.intersample))[:, 0]
+    e, v = e - e.mean(), u[:, 0] - u.mean()
+    most, n = 2 * lags, len(e)
+    own, other = correlations(e, e, most), correlations(v, v, most + lags)
+    covariance = [
+        sum((1 - abs(m) / (most + 1)) * own[abs(m)] * other[abs(m + k)] for m in range(-most, most + 1))
+        for k in range(lags + 1)
+    ]
+    assert found.cross_band[0, 0] == pytest.approx(norm.ppf(0.995) * np.sqrt(covariance[0] / n), rel=1e-9)
+    values, vectors = np.linalg.eigh(toeplitz(covariance))
+    kept = values > 1e-6 * values[-1]
+    assert kept.sum() > np.sum(values > 1e-1 * values[-1])
+    statistic = n * np.sum((vectors.T @ correlations(v, e, lags))[kept] ** 2 / values[kept])
+    assert found.p_independent[0, 0] == pytest.approx(chi2.sf(statistic, kept.sum()), rel=1e-6, abs=1e-300)
+
+
+def test_two_outputs_are_white_at_half_a_percent_each(data, result):
+    found = replace(check_residuals(result, data), p_white=np.array([0.006, 0.004]))
+    np.testing.assert_array_equal(found.white, [True, False])
+    words = _verdict(np.array([0.006, 0.004]), np.ones((2, 1)), ["u"], ["x", "y"])
+    assert words == ("x: residuals white (p = 0.006)", "y: residuals not white (p = 0.004)")
+
+
+def test_the_longest_stretch_is_tested(data, result):
+    found = check_residuals(result, data, left_out=[(700, 800), (2900, 2950)])
+    alone = check_residuals(result, data.slice(800, 2900))
+    for name in ("autocorrelation", "crosscorrelation", "cross_band", "p_white", "rms", "infinity_norm"):
+        np.testing.assert_allclose(getattr(found, name), getattr(alone, name), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("focus", ["prediction", "simulation"])
+def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(data, result, focus):
+    free = replace(result, options=replace(result.options, offsets=True, focus=focus))
+    moved = data.with_signals(y=data.signal("y") + 40.0)
+    found, plain = check_residuals(free, moved), check_residuals(free, data)
+    np.testing.assert_allclose(found.rms, plain.rms, rtol=1e-9)
+    np.testing.assert_allclose(found.infinity_norm, plain.infinity_norm, rtol=1e-9)
+    np.testing.assert_allclose(found.autocorrelation, plain.autocorrelation, atol=1e-9)

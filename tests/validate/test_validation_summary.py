@@ -142,6 +142,19 @@ def test_stretches_left_out_do_not_count():
     assert check_residuals(result, bad, 20, left_out).infinity_norm[0] < 1e-2 < check_residuals(result, bad, 20).rms[0]
 
 
+def test_offsets_are_those_of_the_samples_that_count(recordings):
+    result = fit(PiezoPair(), recordings[0], offsets=True)
+    signal = result.options.outputs[0]
+    wrong = recordings[1].signal(signal).copy()
+    wrong[500:900] += 10 * np.ptp(wrong, axis=0)
+    bad, left_out = recordings[1].with_signals(**{signal: wrong}), [(500, 900)]
+    found = cross_validate(result, bad, left_out)
+    percent, norm, response, _ = plainly(result, bad, left_out)
+    np.testing.assert_allclose(found.simulated, response, rtol=0, atol=1e-8 * np.abs(response).max())
+    np.testing.assert_allclose(found.fit_percent, percent, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(found.infinity_norm, norm, rtol=1e-7)
+
+
 @pytest.mark.parametrize("stretch", [(-1, 5), (5, 5), (590, 601), (0, 600)])
 def test_stretches_beyond_the_recording_are_refused(stretch):
     result = fit(MODE, simulated(MODE, MODE_AT, levels(400)), focus="simulation")
