@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid import hdf5
 from gbid.errors import DataError, UsageError
-from gbid.identify.store import status_of_text
+from gbid.identify.fit_store import status_of_text
 from gbid.lpv.basis import TERMS
 from gbid.lpv.load import load_model, save_model
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
