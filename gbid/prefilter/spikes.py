@@ -36,7 +36,7 @@ class Despiked(NamedTuple):
     samples: tuple[IntArray, ...]
 
 
-class _Limits(NamedTuple):
+class _SpikeLimits(NamedTuple):
     """Largest errors that a good sample may have in one channel."""
 
     middle: float
@@ -89,7 +89,7 @@ def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
     if len(x) > 2 * _REACH:
         error = np.abs(_interpolation_error(x))
         sides = np.convolve(x, [1.0, *-_BEFORE[::-1]], mode="valid")
-        limits = _Limits(
+        limits = _SpikeLimits(
             max(threshold * _robust_std(error), _QUANTA * step), max(ONE_SIDED * _robust_std(sides), _QUANTA * step)
         )
         done = 0
@@ -102,7 +102,7 @@ def _clean(x: FloatArray, threshold: float, step: float) -> IntArray:
     return np.array(spikes, dtype=np.int64)
 
 
-def _wrong_run(x: FloatArray, k: int, limits: _Limits) -> tuple[int, FloatArray]:
+def _wrong_run(x: FloatArray, k: int, limits: _SpikeLimits) -> tuple[int, FloatArray]:
     """Return the start of the shortest wrong run around a suspect sample, and its replacement, empty for none."""
     for length in range(1, LONGEST_RUN + 1):
         first, last = max(k - length + 1, _REACH), min(k + LONGEST_RUN, len(x) - _REACH - length + 1)

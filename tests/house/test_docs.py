@@ -294,3 +294,11 @@ def test_pages_build_without_a_warning(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", docs, tmp_path / "html"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
+
+
+def test_architecture_names_files_that_exist() -> None:
+    """Rows of its tables name files and folders; each is there."""
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`((?:gbid|tests|experiments|models|docs)/[\w/.]+)`", page))
+    assert len(named) > 40
+    assert sorted(name for name in named if not (ROOT / name).exists()) == []

@@ -16,8 +16,8 @@ from gbid.errors import UsageError
 from gbid.hdf5 import Stored
 from gbid.poles import oscillatory_modes
 from gbid.structure.numeric.checked_fields import checked_fields
+from gbid.structure.numeric.frequency_domain import continuous_poles, frequency_response, static_gain
 from gbid.structure.numeric.interchange import control_state_space, from_state_space, scipy_state_space
-from gbid.structure.numeric.response import continuous_poles, frequency_response, static_gain
 from gbid.structure.numeric.sampled_run import check_sample_time, sampled_run
 
 

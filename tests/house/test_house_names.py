@@ -1,0 +1,48 @@
+"""Names stand for one thing: classes, files, packages, and the words of the field."""
+
+import ast
+import re
+from collections import Counter, defaultdict
+
+import pytest
+from places import ROOT
+
+PACKAGE = ROOT / "gbid"
+MODULES = sorted(path for path in PACKAGE.rglob("*.py") if "_share" not in path.parts)
+READS_OLD_FILES = ("gbid/control/impact/impact_store.py",)
+"""Where the names of release 0.1.0 must be known."""
+STAGES = PACKAGE / "experiment" / "stages"
+"""Each stage has a folder with the same files."""
+
+
+def test_a_class_name_stands_for_one_class() -> None:
+    places = defaultdict(list)
+    for path in MODULES:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places[node.name.lstrip("_")].append(str(path.relative_to(ROOT)))
+    assert {name: found for name, found in places.items() if len(found) > 1} == {}
+
+
+def test_no_file_name_is_used_three_times() -> None:
+    names = Counter(path.name for path in MODULES if STAGES not in path.parents)
+    assert {name: n for name, n in names.items() if n > 2 and name != "__init__.py"} == {}
+
+
+def test_no_package_has_the_name_of_a_function_beside_it() -> None:
+    """``gbid.control.tune`` is the function: a package of that name could not be reached through its parent."""
+    hidden = []
+    for init in PACKAGE.rglob("__init__.py"):
+        folders = {path.parent.name for path in init.parent.glob("*/__init__.py")}
+        for node in ast.walk(ast.parse(init.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module != "gbid":
+                hidden += [f"{init.parent.name}.{a.name}" for a in node.names if a.name in folders]
+    # The verb and the room of the same name at the top: the module can be called like the function.
+    assert [name for name in hidden if name != "gbid.prefilter"] == []
+
+
+@pytest.mark.parametrize("word", ["blow", "polish", "shake", "one-shot", "worth_"])
+def test_words_that_the_field_does_not_use(word: str) -> None:
+    used = re.compile(rf"\b{word}", re.IGNORECASE)
+    found = [str(path.relative_to(ROOT)) for path in MODULES if used.search(path.read_text(encoding="utf-8"))]
+    assert [name for name in found if name not in READS_OLD_FILES] == []
