@@ -1,4 +1,4 @@
-"""What an experiment means together: each check is a small function that gives the problems it finds."""
+"""Checks of an experiment across its sections: each check is a function that yields the problems it finds."""
 
 from __future__ import annotations
 
@@ -11,12 +11,14 @@ from gbid.experiment.stages import registry
 
 
 def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str]]:
-    """Run all checks; one that needs what another found missing stays silent.
+    """Return the problems that all checks find.
+
+    A check stays silent about values that another check reports as missing.
 
     Returns
     -------
     list of (location, text)
-        Where in the YAML, and what is wrong; each once.
+        Location in the YAML and text of each problem, without duplicates.
     """
     found: list[tuple[Location, str]] = []
     checks = [check for stage in registry.STAGES for check in stage.checks]
@@ -26,7 +28,7 @@ def find_experiment_problems(experiment: Experiment) -> list[tuple[Location, str
 
 
 def has_recordings(experiment: Experiment) -> Found:
-    """There is something to work on."""
+    """Yield a problem when the experiment has no recordings."""
     spec = experiment.spec
     if spec.rig is None and spec.imported is None:
         yield (), "no recordings: add a rig section (virtual rig) or an import section (files of your own)"
@@ -35,7 +37,7 @@ def has_recordings(experiment: Experiment) -> Found:
 
 
 def names_are_unique(experiment: Experiment) -> Found:
-    """No two recordings share a name."""
+    """Yield a problem for each recording whose name another recording has already."""
     planned = list(planned_recordings(experiment.spec, experiment.imports.files))
     counts = Counter(q.name for q in planned)
     seen: set[str] = set()
@@ -48,7 +50,7 @@ def names_are_unique(experiment: Experiment) -> Found:
         yield here, f"the same operating point as operating_points[{first}]; delete one of the two"
     for q in planned:
         if q.location in twice:
-            continue  # told above, once for all recordings of the point
+            continue  # reported above, once for all recordings of the point
         if counts[q.name] > 1 and q.name in seen:
             where = (*q.location, "name") if q.imported and "recordings" in q.location else q.location
             yield where, f"a second recording named {q.name!r}; each needs a name (or operating point) of its own"

@@ -1,4 +1,4 @@
-"""What can be known of recordings before hours are spent: whole files, clocks that agree, length, disk space."""
+"""Checks of the recordings before a run: readable files, equal sample times, length, disk space."""
 
 from __future__ import annotations
 
@@ -18,20 +18,22 @@ from gbid.recording.importers.peek import Peek, peek
 from gbid.structure import symbolic_matrices
 
 PER_UNKNOWN = 10
-"""Samples that a fit needs for each of its unknowns to be worth its time."""
-_PER_FIT, _PER_FIGURE = 120_000, 400_000  # bytes
-_STATED = 1.1  # files also hold names, units, times
+"""Smallest number of samples per unknown of a fit."""
+_PER_FIT, _PER_FIGURE = 120_000, 400_000  # size of one result in bytes
+_STATED = 1.1  # factor for the names, units and times that files contain beside the samples
 
 
 def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple[PlannedRecording, GbidError]]]:
-    """Look at length and sample time of all recordings: those of the rig as planned, files by a short look.
+    """Return the length and sample time of each recording.
+
+    Those of the rig follow from its settings. Those of files are read from the head of each file.
 
     Returns
     -------
     dict of str to Peek
-        Of the recordings that can be read.
+        Length and sample time by name, for the recordings that can be read.
     list of (PlannedRecording, GbidError)
-        Those that cannot, and why.
+        Recordings that cannot be read, each with its error.
     """
     found: dict[str, Peek] = {}
     broken: list[tuple[PlannedRecording, GbidError]] = []
@@ -51,7 +53,7 @@ def peek_recordings(experiment: Experiment) -> tuple[dict[str, Peek], list[tuple
 
 
 def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
-    """Name recordings of a fit whose sample time is not that of the others; delays are tied to it."""
+    """Return a text for each recording of a fit whose sample time differs from that of most recordings of the fit."""
     texts = []
     for fit in experiment.spec.fits:
         known = [q.name for q in experiment.fit_recordings(fit) if q.name in seen]
@@ -63,13 +65,16 @@ def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> lis
             if rounded[name] != usual:
                 texts.append(
                     f"recording {name!r}: sample time {seen[name].sample_time:g} s; {count} of {len(known)} recordings "
-                    f"of fit {fit} have {usual:g} s: correct sample_time_s or its time column, or fit it apart"
+                    f"of fit {fit} have {usual:g} s: correct sample_time_s or its time column, or use another fit"
                 )
     return texts
 
 
 def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
-    """Name recordings that are too short for the unknowns of a fit: parameters, offsets, and an initial state each."""
+    """Return a text for each model whose recordings have too few samples for its unknowns.
+
+    The unknowns are the free parameters, the offsets, and one initial state for each recording.
+    """
     texts = []
     for fit, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, fit)
@@ -91,12 +96,12 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> li
 
 
 def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, int]:
-    """Estimate the size of all results, and find the free space where they go.
+    """Return the estimated size of all results and the free space of their disk.
 
     Returns
     -------
     needed, free : int
-        Bytes. What is there of the results already is not subtracted.
+        Sizes [bytes]. Results that exist already are not subtracted.
     """
     spec = experiment.spec
     needed = 0.0
@@ -111,7 +116,7 @@ def disk_space(experiment: Experiment, seen: Mapping[str, Peek]) -> tuple[int, i
 
 
 def space_problem(experiment: Experiment, needed: int, free: int) -> str:
-    """Say when the results will not fit on the disk, empty otherwise."""
+    """Return a text when the results need more space than the disk has, else an empty text."""
     if needed <= free:
         return ""
     return (
@@ -121,7 +126,7 @@ def space_problem(experiment: Experiment, needed: int, free: int) -> str:
 
 
 def size(count: int) -> str:
-    """Write a number of bytes in words."""
+    """Return a number of bytes as text with a unit, e.g. ``"1.2 MB"``."""
     value = float(count)
     for unit in ("B", "kB", "MB"):
         if value < 1000:
@@ -131,15 +136,16 @@ def size(count: int) -> str:
 
 
 def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:
-    """Check what can be known of the recordings by a short look.
+    """Return the problems of the recordings that show before a run.
 
     Returns
     -------
     problems : list of str
+        One text for each problem.
     exit_code : int
-        Of the worst problem; 0 without.
+        Highest exit code of the problems; 0 when there are none.
     needed, free : int
-        Bytes, as `disk_space` gives.
+        Sizes [bytes], as `disk_space` returns.
     """
     seen, broken = peek_recordings(experiment)
     texts = [f"{experiment.file.position(planned.location)}: {error}" for planned, error in broken]
@@ -155,6 +161,6 @@ def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[in
 
 
 def _nearest_folder(path: Path) -> Path:
-    """Find the folder itself or the nearest one above that is there."""
+    """Return the folder itself, or the nearest folder above it that exists."""
     path = path.absolute()
     return next(folder for folder in (path, *path.parents) if folder.is_dir())

@@ -1,4 +1,4 @@
-"""The experiment: its file, what it says, and where its results go."""
+"""Experiment: its file, its contents, and the folder of its results."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from gbid.yaml_file import YamlFile
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """An experiment file, its positions, and where its results go.
+    """Experiment file with its positions, and the folder of its results.
 
     Attributes
     ----------
     file : YamlFile
-        The YAML with the line and column of each value.
+        The YAML, with line and column of each value.
     spec : ExperimentFile
-        Its contents.
+        Contents of the YAML.
     results : pathlib.Path
         Folder of the results.
     """
@@ -36,11 +36,11 @@ class Experiment:
 
     @property
     def folder(self) -> Path:
-        """Folder of the YAML, from where its paths count."""
+        """Folder of the YAML; its relative paths start here."""
         return self.file.path.parent
 
     def folder_of(self, file: str) -> Path:
-        """Folder from where a file name counts: the experiment's own, else the models that come with gbid."""
+        """Return the folder to which a file name is relative: that of the experiment, or the models of gbid."""
         for folder in (self.folder, share_folder("models")):
             if (folder / file).is_file():
                 return folder
@@ -48,12 +48,12 @@ class Experiment:
 
     @cached_property
     def recordings(self) -> Mapping[str, PlannedRecording]:
-        """Recordings that the rig makes or the import reads, by name."""
+        """Recordings by name: those of the rig, then those of imported files."""
         return {planned.name: planned for planned in planned_recordings(self.spec, self.imports.files)}
 
     @cached_property
     def imports(self) -> FoundFiles:
-        """Files that the import section names or finds in its folder, as they are when first asked for."""
+        """Files that the import section names or finds in its folder, searched once."""
         section = self.spec.imported
         return find_files(section, self.folder) if section is not None else FoundFiles((), ())
 
@@ -67,7 +67,7 @@ class Experiment:
 
     @cached_property
     def fits_of(self) -> Mapping[str, list[str]]:
-        """Names of the fits that a recording is used in, by its name."""
+        """Names of the fits that use a recording, by the name of the recording."""
         found: dict[str, list[str]] = {}
         for fit in self.spec.fits:
             for planned in self.fit_recordings(fit):
@@ -75,18 +75,18 @@ class Experiment:
         return found
 
     def matching(self, patterns: tuple[str, ...]) -> list[PlannedRecording]:
-        """List recordings whose names match any of the patterns, in the experiment's order."""
+        """Return the recordings whose names match one of the patterns, in the order of the experiment."""
         return [q for q in self.recordings.values() if any(fnmatchcase(q.name, p) for p in patterns)]
 
     def fit_recordings(self, fit: str) -> list[PlannedRecording]:
-        """List the recordings of a fit; all excited ones when it names none."""
+        """Return the recordings of a fit; all excited recordings when the fit names none."""
         patterns = self.spec.fits[fit].recordings
         return self.matching(patterns) if patterns else [q for q in self.recordings.values() if q.excited]
 
     def problem(self, location: Location, text: str) -> Problem:
-        """Build a problem at the position of a key."""
+        """Return a problem at the position of a key."""
         return Problem(self.file.position(location), dotted(location), text)
 
 
 Check = Callable[[Experiment], Found]
-"""Gives what is wrong with an experiment; a check that needs what another found missing stays silent."""
+"""Type of a check: it yields the problems of an experiment. It is silent about values that are missing elsewhere."""

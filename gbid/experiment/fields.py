@@ -1,4 +1,4 @@
-"""Kinds of values in an experiment YAML: strict, so that nothing is read as what it is not."""
+"""Types of the values in an experiment YAML; they are strict: no value is converted to another type."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def _as_list(value: Any) -> Any:
 
 
 def _one_or_several(kind: dict[str, Any]) -> WithJsonSchema:
-    """Tell editors that a single word needs no list."""
+    """Return a schema for editors that allows a single value in place of a list."""
     return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": 1}]})
 
 
@@ -33,14 +33,14 @@ CountOrZero = Annotated[int, Strict(), Field(ge=0)]
 Switch = Annotated[bool, Strict()]
 Text = Annotated[str, Field(min_length=1)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.+-]*$")]
-"""A name that also names files."""
+"""Name that is also used in file names."""
 Names = Annotated[
     tuple[Text, ...],
     BeforeValidator(_as_list),
     Field(min_length=1),
     _one_or_several({"type": "string", "minLength": 1}),
 ]
-"""One or several names; a single one needs no list."""
+"""One or several names; a single name needs no list."""
 Pair = tuple[Number, Number]
 OneOrTwo = Annotated[
     float | tuple[float, float],
@@ -54,7 +54,7 @@ OneOrTwo = Annotated[
         }
     ),
 ]
-"""A standard deviation: one for both axes, or x and y."""
+"""Standard deviation: one value for both axes, or one for x and one for y."""
 TwoRows = tuple[tuple[Number, ...], tuple[Number, ...]]
 Holds = Annotated[
     tuple[Literal["zoh", "foh"], ...],
@@ -65,13 +65,13 @@ Holds = Annotated[
 
 
 class Section(BaseModel):
-    """A block of keys: unknown ones are refused, values do not change."""
+    """Section of the YAML: unknown keys are refused, and values are constant."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=())
 
 
 def given(value: Any) -> Any:
-    """Refuse a key with nothing behind it."""
+    """Return the value; refuse a key without a value."""
     if value is None:
         raise ValueError("is empty; write {} for the defaults, or leave the key out")
     return value

@@ -1,4 +1,4 @@
-"""The JSON schema of the experiment YAML, generated from the models that check it."""
+"""JSON schema of the experiment YAML, generated from the models that check it."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _UNIT = re.compile(r"_(m|s|rad|hz)$")
 
 
 def experiment_json_schema() -> dict[str, Any]:
-    """Return the schema as plain values, for ``json.dumps``.
+    """Return the JSON schema of the experiment YAML, ready for ``json.dumps``.
 
-    Sections are described by their docstrings. Where a docstring says which function or class of gbid takes the
-    keys ("see `gbid.fit`"), each key is described by that one's word about its argument.
+    The description of a section is its docstring. When the docstring names the function or class of gbid that takes
+    the keys ("see `gbid.fit`"), the description of a key is that of the argument with the same name.
 
     Returns
     -------
@@ -28,12 +28,12 @@ def experiment_json_schema() -> dict[str, Any]:
     schema = ExperimentFile.model_json_schema(by_alias=True, mode="validation")
     for section in (schema, *schema.get("$defs", {}).values()):
         words = section.get("description", "")
-        told = _told_arguments(words)
+        described = _described_arguments(words)
         section["title"] = section.get("title", "").removesuffix("Section")
         section["description"] = _plain(words)
         for key, value in section.get("properties", {}).items():
             value.pop("title", None)  # pydantic makes it from the key, which the reader sees already
-            text = told.get(key) or told.get(_UNIT.sub("", key))
+            text = described.get(key) or described.get(_UNIT.sub("", key))
             if text:
                 value.setdefault("description", text)
     for key, value in schema["properties"].items():
@@ -42,32 +42,32 @@ def experiment_json_schema() -> dict[str, Any]:
 
 
 def _without_null(value: dict[str, Any]) -> dict[str, Any]:
-    """Leave out the null of an optional section: the checks refuse an empty one, and errors find their place."""
+    """Return the schema of an optional section without null; the checks refuse an empty section."""
     kinds = [kind for kind in value.get("anyOf", []) if kind != {"type": "null"}]
     if len(kinds) != 1 or "$ref" not in kinds[0]:
         return value
     return {**kinds[0], **{key: word for key, word in value.items() if key not in ("anyOf", "default")}}
 
 
-def _told_arguments(words: str) -> dict[str, str]:
-    """Descriptions of the arguments of what a docstring refers to, by name."""
+def _described_arguments(words: str) -> dict[str, str]:
+    """Return the descriptions of the arguments of the function or class that a docstring names, by argument."""
     found = _SEE.search(words)
     if not found:
         return {}
     module, _, name = found[1].rpartition(".")
     text = inspect.getdoc(getattr(importlib.import_module(module), name)) or ""
     section = re.search(r"^(?:Parameters|Attributes)\n-+\n(.*?)(?=^\w[\w ]*\n-+\n|\Z)", text, re.MULTILINE | re.DOTALL)
-    told: dict[str, str] = {}
+    described: dict[str, str] = {}
     for heading, body in re.findall(
         r"^(\S[^\n]*)\n((?:[ \t]+[^\n]*\n?|\n)+)", section[1] if section else "", re.MULTILINE
     ):
         for argument in heading.partition(" : ")[0].split(","):
-            told[argument.strip().lstrip("*")] = _plain(body)
-    return told
+            described[argument.strip().lstrip("*")] = _plain(body)
+    return described
 
 
 def _plain(words: str) -> str:
-    """Text of a docstring without markup, one line a paragraph."""
+    """Return the text of a docstring without markup, one line per paragraph."""
     paragraphs = inspect.cleandoc(words).strip().split("\n\n")
     text = "\n\n".join(" ".join(paragraph.split()) for paragraph in paragraphs)
     return re.sub(r"`+([^`]*)`+", r"\1", text)

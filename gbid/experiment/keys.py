@@ -1,4 +1,4 @@
-"""Content keys: a result is kept as long as its settings and all that it is made from are the same."""
+"""Content keys: a result stays valid while its settings and its sources are the same."""
 
 from __future__ import annotations
 
@@ -19,22 +19,27 @@ from gbid.errors import DataError, UsageError
 from gbid.hdf5 import changing
 
 ATTRIBUTE = "key"
-"""Attribute at the root of an HDF5 file; other files hold ``content_key: <key>`` in a comment."""
+"""Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
 
 _IN_TEXT = re.compile(rb"content_key: ([0-9a-f]{64})")
 
 
 def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] = ()) -> str:
-    """Return sha256 over a stage's settings and the keys of what it starts from, as canonical JSON.
+    """Return the content key of a result: sha256 over the settings of a stage and the keys of its sources.
 
     Parameters
     ----------
     stage : str
         Name of the stage.
     settings : dict
-        Plain values; arrays are taken as lists.
+        Settings as plain values; arrays are converted to lists.
     sources : iterable of str
-        Keys of the files that it reads.
+        Content keys of the files that the stage reads.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
     """
     document = {"stage": stage, "gbid": __version__, "settings": settings, "sources": list(sources)}
     text = json.dumps(document, sort_keys=True, separators=(",", ":"), default=_plain)
@@ -42,12 +47,12 @@ def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] 
 
 
 def file_digest(path: Path) -> str:
-    """Return sha256 of a file's bytes.
+    """Return the sha256 of the bytes of a file.
 
     Raises
     ------
     OSError
-        When it cannot be read.
+        When the file cannot be read.
     """
     stat = path.stat()
     return _digest(path, stat.st_mtime_ns, stat.st_size)
@@ -60,7 +65,7 @@ def _digest(path: Path, _mtime_ns: int, _size: int) -> str:
 
 
 def stored_key(path: Path) -> str:
-    """Return the key that a result file carries, empty when there is none to be read."""
+    """Return the content key in a result file; empty when the file has none or cannot be read."""
     try:
         if path.suffix == ".h5":
             with h5py.File(path, "r") as file:
@@ -72,14 +77,14 @@ def stored_key(path: Path) -> str:
 
 
 def is_current(path: Path, key: str, overwrite: bool) -> bool:
-    """Whether a result is there already, made from the same things.
+    """Return whether a result exists already and was made from the same settings and data.
 
     Raises
     ------
     UsageError
-        When it is there, made from others, and `overwrite` is not set.
+        When the result was made from other settings or data and `overwrite` is not set.
     DataError
-        When it is there and cannot be read.
+        When the file cannot be read.
     """
     if not path.exists():
         return False
@@ -98,7 +103,7 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
 
 @contextmanager
 def writing_keyed(path: Path, key: str) -> Iterator[Path]:
-    """Give a path to write to; with its key, the file takes the place of `path` when the block ends well."""
+    """Return a context that gives a path to write to; at its end the file gets its key and replaces `path`."""
     with atomic_path(path, overwrite=True) as part:
         yield part
         if path.suffix == ".h5":

@@ -1,4 +1,4 @@
-"""Read an experiment YAML: first its form, then what it means."""
+"""Reading of an experiment YAML: first the form of each value, then the checks across sections."""
 
 from __future__ import annotations
 
@@ -18,18 +18,19 @@ from gbid.yaml_file import read_yaml
 
 
 def load_experiment(path: str | Path, results: str | Path | None = None) -> Experiment:
-    """Load an experiment file and check all that can be known before anything runs.
+    """Return the experiment of a file, after all checks that are possible before a run.
 
     Parameters
     ----------
     path : path
         The YAML.
     results : path, optional
-        Folder of the results in place of the one that the file names.
+        Folder of the results, instead of the folder that the file names.
 
     Returns
     -------
     Experiment
+        The checked experiment.
 
     Raises
     ------
@@ -45,7 +46,7 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
     spec, faults = _parse(file.data)
     removed = [location for location, _ in faults]
     if faults:
-        # The meaning of the rest is looked at as well, so that nobody has to come back for it.
+        # The other values are checked as well, so that the user sees all problems at once.
         spec = _parse(_without(file.data, removed))[0]
     problems = [Problem(file.position(location), dotted(location), text) for location, text in faults]
     if spec is not None:
@@ -59,12 +60,12 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
 
 
 def _parse(data: Any) -> tuple[ExperimentFile | None, list[tuple[Location, str]]]:
-    """Check the form: keys, types, ranges."""
+    """Return the parsed file, or the problems of its form: keys, types, ranges."""
     try:
         return ExperimentFile.model_validate(data), []
     except ValidationError as error:
         found = error.errors(include_url=False)
-        # A list whose entries are wrong is told by these; that it then has too few is no second mistake.
+        # A list with faulty entries is reported by its entries; that pydantic then finds it too short is not reported.
         inside = {e["loc"][:-1] for e in found}
         return None, [
             schema_text(ExperimentFile, e) for e in found if not (e["type"] == "too_short" and e["loc"] in inside)
@@ -72,7 +73,7 @@ def _parse(data: Any) -> tuple[ExperimentFile | None, list[tuple[Location, str]]
 
 
 def _without(data: Any, locations: Sequence[Location]) -> Any:
-    """Copy the data without some of its numbers and words; None when a whole block would have to go."""
+    """Return a copy of the data without some values; None when a whole section would have to be removed."""
     data = deepcopy(data)
     for location in locations:
         node = data
@@ -85,5 +86,5 @@ def _without(data: Any, locations: Sequence[Location]) -> Any:
 
 
 def _touches(location: Location, others: Sequence[Location]) -> bool:
-    """Whether a problem may come from a value that was left out: the same key, or one above or below it."""
+    """Return whether a problem may come from a removed value: at the same key, or at one above or below it."""
     return any(location[: len(other)] == other[: len(location)] for other in others)

@@ -1,4 +1,4 @@
-"""Which recordings an experiment will have, known before any is made."""
+"""Planned recordings: the recordings that an experiment will have, known before a run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.experiment.stages.rig.schema import OperatingPoint, Place, RigSection
 from gbid.units import SIGNALS
 
 RIG_SIGNALS = {name: SIGNALS[name].channels for name in ("r", "u", "p", "phi")}
-"""Signals of the virtual rig and their channels."""
+"""Signals of the virtual rig with the names of their channels."""
 
 _STACK_SIGNALS = {name: SIGNALS[name].channels for name in ("y_p", "v", "r_p")}
 _EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"].channels}}
@@ -21,25 +21,26 @@ _EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"
 
 @dataclass(frozen=True)
 class PlannedRecording:
-    """A recording to be made or imported.
+    """Recording that the rig will make or the import will read.
 
     Attributes
     ----------
     name : str
+        Name of the recording.
     excited : bool
         Whether the piezos move; false for a stationary run.
     conditions : dict of str to float
-        Operating point.
+        Operating point: ``pressure_bar`` [bar] and ``speed_rpm`` [rpm].
     signals : dict of str to tuple of str
-        Names of its signals and their channels.
+        Names of the channels by signal.
     location : tuple
-        Where the YAML asks for it.
+        Location of its entry in the YAML.
     imported : ImportedSection or None
-        How to read it; None for a recording of the rig.
+        How to read the file; None for a recording of the rig.
     staircase : bool
-        Whether it is for the static characterisation only: not for fits, not for run-out maps.
+        Whether it serves the static characterisation only. Fits and run-out maps then do not use it.
     run : tuple
-        What the rig does, ``("prbs",)`` or ``("hammer", "x")`` for example; empty for a file.
+        Run of the rig, for example ``("prbs",)`` or ``("hammer", "x")``; empty for a file.
     """
 
     name: str
@@ -53,26 +54,26 @@ class PlannedRecording:
 
     @property
     def kind(self) -> str:
-        """``excited``, ``stationary``, ``staircase``, or what else the rig does (``hammer``, ``run_up``)."""
+        """Kind of recording: ``excited``, ``stationary``, ``staircase``, or another run, e.g. ``hammer``."""
         if self.excited or self.staircase:
             return "excited" if self.excited else "staircase"
         return "stationary" if self.stationary else str(self.run[0])
 
     @property
     def stationary(self) -> bool:
-        """Whether the piezos are still, so that run-out maps can be made of it."""
+        """Whether the piezos do not move, so that run-out maps can be made from the recording."""
         return not self.excited and not self.staircase and self.run[:1] in ((), ("stationary",))
 
     @property
     def point(self) -> str:
-        """Operating point as a word, e.g. ``p5_n6000``; ``any`` when the conditions do not tell."""
+        """Operating point as text, e.g. ``p5_n6000``; ``any`` when the conditions contain no operating point."""
         pressure, speed = self.conditions.get("pressure_bar"), self.conditions.get("speed_rpm")
         parts = [f"{letter}{v:g}" for letter, v in (("p", pressure), ("n", speed)) if v is not None]
         return "_".join(parts) or "any"
 
 
 def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) -> Iterator[PlannedRecording]:
-    """List the recordings, those of the rig first, then those of files; names may still occur twice."""
+    """Yield the recordings of the rig, then those of files; names can still occur twice."""
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
             yield from _of_rig(spec.rig, point, ("rig", "operating_points", i))
@@ -95,11 +96,11 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
     signals = {**RIG_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
 
     def planned(word: str, count: int, run: tuple[str | int | bool, ...]) -> Iterator[PlannedRecording]:
-        held = {**signals, **_EXTRA_SIGNALS.get(str(run[0]), {})}
+        own = {**signals, **_EXTRA_SIGNALS.get(str(run[0]), {})}
         stairs = run[0] in ("staircase", "stack_staircase")
         for i in range(count):
             name = f"{label}_{word}{i + 1}"
-            yield PlannedRecording(name, run[0] == "prbs", conditions, held, location, None, stairs, run)
+            yield PlannedRecording(name, run[0] == "prbs", conditions, own, location, None, stairs, run)
 
     yield from planned("still", rig.stationary.recordings, ("stationary",))
     prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
@@ -120,7 +121,7 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
 
 
 def _there(places: tuple[Place, ...] | None, point: OperatingPoint) -> bool:
-    """Whether a run is asked for at an operating point."""
+    """Return whether a run is planned at an operating point; without a list it is planned at all."""
     return places is None or any((q.pressure_bar, q.speed_rpm) == (point.pressure_bar, point.speed_rpm) for q in places)
 
 

@@ -1,4 +1,4 @@
-"""Everything that is wrong with an experiment file, said at once."""
+"""Problems of an experiment file, all reported at once."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from gbid.errors import UsageError
 Location = tuple[str | int, ...]
 """Keys and list positions that lead to a value of the YAML."""
 Found = Iterator[tuple[Location, str]]
-"""What a check finds: where in the YAML, and what is wrong."""
-_LISTED, _FIRST = 30, 8  # names that one line lists at most; of more, so many
+"""Result of a check: location in the YAML and text of each problem."""
+_LISTED, _FIRST = 30, 8  # longest list of names that is shown in full; number of names shown of a longer one
 
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing that is wrong.
+    """Problem of an experiment file.
 
     Attributes
     ----------
     position : str
         ``file:line:col``.
     key : str
-        Path of keys, e.g. ``fits.bearing.window``; empty when it concerns the whole file.
+        Path of keys, e.g. ``fits.bearing.window``; empty when the problem concerns the whole file.
     text : str
         What is wrong and what to do.
     """
@@ -41,7 +41,7 @@ class Problem:
 
 
 class ExperimentError(UsageError):
-    """An experiment file with problems; `problems` lists all of them."""
+    """Error for an experiment file; `problems` contains all its problems."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -49,7 +49,7 @@ class ExperimentError(UsageError):
 
 
 def in_file_order(problems: Iterable[Problem]) -> list[Problem]:
-    """Sort by line and column."""
+    """Return the problems sorted by line and column."""
 
     def place(problem: Problem) -> tuple[int, int]:
         line, column = problem.position.split(":")[-2:]
@@ -59,7 +59,7 @@ def in_file_order(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def dotted(location: Location) -> str:
-    """Write a location as ``fits.bearing.bounds.tau_x[1]``."""
+    """Return a location as text, e.g. ``fits.bearing.bounds.tau_x[1]``."""
     text = ""
     for key in location:
         text += f"[{key}]" if isinstance(key, int) else f".{key}"
@@ -67,7 +67,7 @@ def dotted(location: Location) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """Say what was probably meant and what there is; of many, the first ones."""
+    """Return a hint with the most similar known name and the known names; of many, only the first ones."""
     known = list(known)
     close = difflib.get_close_matches(name, known, n=1)
     meant = f"did you mean {close[0]!r}? " if close else ""
@@ -76,7 +76,7 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 
 def schema_text(model: type[BaseModel], error: Any) -> tuple[Location, str]:
-    """Location and text of one of pydantic's complaints, in words for a reader of the YAML."""
+    """Return location and text of a pydantic error, in plain words for the author of the YAML."""
     location: Location = tuple(error["loc"])
     kind, found, context = error["type"], error["input"], error.get("ctx", {})
     if location and location[-1] == "[key]":
@@ -96,7 +96,7 @@ def schema_text(model: type[BaseModel], error: Any) -> tuple[Location, str]:
         )
     words = _EXPECTED.get(kind)
     if words is not None:
-        hint = "; write the bare number, in the unit that the key names" if _starts_as_number(kind, found) else ""
+        hint = "; write a number without unit; the key names the unit" if _starts_as_number(kind, found) else ""
         return location, f"expected {words}, found {_short(found)}{hint}"
     for relation, sign in (("gt", "above"), ("ge", "at least"), ("lt", "below"), ("le", "at most")):
         if relation in context:
@@ -132,23 +132,23 @@ def _short(value: object) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
-    """Keys that the schema knows at a location."""
+    """Return the keys that the schema allows at a location."""
     kind: Any = model
     for key in location:
-        kind = _bare(kind)
+        kind = _inner_type(kind)
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             fields = {field.alias or name: field.annotation for name, field in kind.model_fields.items()}
             kind = fields.get(str(key))
         elif get_origin(kind) in (dict, tuple):
             kind = get_args(kind)[1 if get_origin(kind) is dict else 0]
-    kind = _bare(kind)
+    kind = _inner_type(kind)
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return [field.alias or name for name, field in kind.model_fields.items()]
     return []
 
 
-def _bare(kind: Any) -> Any:
-    """Strip ``Annotated[...]`` and ``... | None``."""
+def _inner_type(kind: Any) -> Any:
+    """Return a type without ``Annotated[...]`` and ``... | None``."""
     while get_origin(kind) is not None and get_origin(kind) not in (dict, tuple):
         kind = next(arg for arg in get_args(kind) if arg is not type(None))
     return kind

@@ -1,4 +1,4 @@
-"""Recordings as later stages read them, from the rig or a file: content keys, and what makes one unfit for use."""
+"""Recordings as inputs of later stages: their content keys, and checks of their signals."""
 
 from __future__ import annotations
 
@@ -33,24 +33,25 @@ def refuse_bad_signals(
     file: Path | None = None,
     kinds: Sequence[ProblemKind] | None = None,
 ) -> None:
-    """Refuse a recording in which `gbid.recording.find_problems` finds something that concerns the channels used.
+    """Refuse a recording when `gbid.recording.find_problems` finds a problem in one of the channels used.
 
     Parameters
     ----------
     planned : PlannedRecording
-        Says which signals rest at their limits by design.
+        Planned recording; for a file it names the signals that rest at their limits by design.
     recording : Recording
+        Recording to check.
     used : iterable of str
-        Signals (``"p"``) or channels (``"p.x"``).
+        Signals (``"p"``) or channels (``"p.x"``) that are used.
     file : pathlib.Path, optional
-        Where it comes from, for the message.
+        File of the recording, for the message.
     kinds : collection of str, optional
-        Kinds of problems that count; all by default.
+        Kinds of problems to look for; all by default.
 
     Raises
     ------
     DataError
-        With all that was found.
+        With all problems found.
     """
     wanted = [name.partition(".") for name in used]
     signals = dict.fromkeys(signal for signal, _, _ in wanted if signal in recording.signals)
@@ -69,7 +70,7 @@ def refuse_bad_signals(
 
 
 def used_channels(experiment: Experiment, recording: str) -> list[str]:
-    """Signals and channels that the fits take from a recording."""
+    """Return the signals and channels of a recording that the fits use."""
     used: list[str] = []
     for fit in experiment.fits_of.get(recording, ()):
         section, structure = experiment.spec.fits[fit], make_structure(experiment, fit)
@@ -78,13 +79,13 @@ def used_channels(experiment: Experiment, recording: str) -> list[str]:
 
 
 def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Content key of a recording as it comes from the rig or its file."""
+    """Return the content key of a recording of the rig or of a file."""
     if planned.imported is not None:
         file = data_file(experiment, planned.imported)
         settings = {"remove_mean": planned.imported.remove_mean, **mapping_of(planned.imported)}
         try:
             digest = file_digest(file)
-        except OSError:  # the import will say so, and is tried again when the file can be read
+        except OSError:  # the import reports the error; the key changes when the file can be read
             digest = "cannot be read"
         return content_key("import", settings, [digest])
     known = _known_keys(experiment)
@@ -95,7 +96,7 @@ def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:
 
 @lru_cache(maxsize=4)
 def _known_keys(_experiment: Experiment) -> dict[str, str]:
-    """Keys of recordings of the rig that were asked for already: an experiment does not change."""
+    """Return the cache of content keys of an experiment's rig recordings; an experiment does not change."""
     return {}
 
 
@@ -109,12 +110,12 @@ def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:
-    """Read a recording that an earlier stage made from the present settings.
+    """Return a recording that an earlier stage made from the present settings.
 
     Raises
     ------
     DataError
-        When it is not there, or was made from other settings.
+        When the recording does not exist or was made from other settings.
     """
     path = job.path(FOLDER, planned.name)
     verb = "import" if planned.imported else "rig"
@@ -122,6 +123,6 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
 
 
 def recording_task(job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], None]) -> Task:
-    """Task that writes one recording."""
+    """Return the task that writes one recording."""
     path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
     return Task(stage, planned.name, path, key, write, (planned.name,))

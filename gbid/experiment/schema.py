@@ -1,4 +1,4 @@
-"""What an experiment YAML may say: keys, types and ranges. What the parts mean together is in `checks`."""
+"""Schema of an experiment YAML: keys, types and ranges. Checks across sections are in `checks`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from gbid.experiment.stages.tune.schema import ControllerSection
 
 
 class ExperimentFile(Section):
-    """A whole experiment."""
+    """Whole experiment file."""
 
     format: Literal[1]
     name: Name

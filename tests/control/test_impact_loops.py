@@ -107,7 +107,7 @@ def test_a_further_loop_without_its_controller_leaves_the_others(tmp_path, capsy
 @pytest.mark.parametrize(
     ("beside", "words"),
     [
-        ("{open: paper}", ("impacts.beside.open", "is the name of a loop that is there")),
+        ("{open: paper}", ("impacts.beside.open", "is reserved; choose another")),
         ("{closed: paper}", ("impacts.beside.closed", "choose another")),
         ("{a: none.yaml}", ("impacts.beside.a", "none.yaml: no such controller file")),
         ("{a: 'tuned:q'}", ("impacts.beside.a", "no section 'controller'")),

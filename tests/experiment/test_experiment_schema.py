@@ -54,7 +54,7 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("seed: 3", "seed: three", "seed: three", ["rig.seed", "whole number", "'three'"]),
         ("seed: 3", "seed: 3.5", "seed: 3.5", ["rig.seed", "whole number", "3.5"]),
         ("seed: 3", "seed: true", "seed: true", ["rig.seed", "whole number", "True"]),
-        ("4.5e-6", "4.5 um", "amplitude_m: 4.5 um", ["rig.prbs.amplitude_m", "the bare number"]),
+        ("4.5e-6", "4.5 um", "amplitude_m: 4.5 um", ["rig.prbs.amplitude_m", "a number without unit"]),
         ("4.5e-6", "-1.0e-6", "amplitude_m: -1.0e-6", ["above 0", "-1e-06"]),
         ("30e-9", "[1e-9, 1e-9, 1e-9]", "noise_p_m: [", ["two of them for x and y"]),
         ("30e-9", ".nan", "noise_p_m: .nan", ["finite number", "nan"]),

@@ -203,11 +203,11 @@ def test_fields_of_file_names():
     [
         ("{}.mat", "names no field"),
         ("{a b}.mat", "names no field"),
-        ("{name}{name}.mat", "there twice"),
+        ("{name}{name}.mat", "occurs twice"),
         ("{speed_rpm:x}.mat", "unknown form 'x'"),
         ("{speed_rpm}.mat", "is a number; write {speed_rpm:g}"),
         ("{name:d}.mat", "is a word"),
-        ("{name.mat", "a brace stands alone"),
+        ("{name.mat", "a brace has no partner"),
     ],
 )
 def test_patterns_that_make_no_sense(text, says):

@@ -142,7 +142,7 @@ def test_a_recording_without_index_is_refused_by_name(tmp_path):
     run_stage(job, RIG)
     outcome, *_ = run_stage(job, PREFILTER)
     assert outcome.state == "failed"
-    for words in ("its run-out is that of p5_n6000_still1", "but turned by", "missed its index", "align_index: true"):
+    for words in ("its run-out is that of p5_n6000_still1", "but rotated by", "missed its index", "align_index: true"):
         assert words in outcome.text
 
 

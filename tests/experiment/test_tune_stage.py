@@ -90,7 +90,7 @@ def test_table_is_that_of_compare_designs(tuned):
     for i, heading in enumerate(compared.columns[1:], 1):
         line = next(entry for entry in lines if entry.startswith(heading))
         assert line.removeprefix(heading).split() == [row[i] for row in compared.rows]
-    for word in ("optimal: damping 0.318", "held back by peak of S_o", "checked: ", "at most 1.6", "feedback.yaml"):
+    for word in ("optimal: damping 0.318", "limited by peak of S_o", "checked: ", "at most 1.6", "feedback.yaml"):
         assert word in result.stdout
 
 

@@ -125,7 +125,7 @@ def test_reproduction_ends_with_what_the_paper_has_no_figures_for(made, capsys) 
 def test_report_shows_designs_front_and_loops(page) -> None:
     for words in (
         "What the tuning found",
-        "held back by",
+        "limited by",
         "Smallest damping factor over the peak of the output sensitivity: P 0.",
         "Pictures of feedback",
         "after the same impact along x and along y: open loop, published gains, tuned",
@@ -137,9 +137,9 @@ def test_report_shows_designs_front_and_loops(page) -> None:
 
 def test_faults_of_designs_stand_on_top(page, results) -> None:
     held = results.tuned["held"]
-    assert held_back(held) == ["held back by kappa_x at its upper bound; wider bounds may damp more"]
+    assert held_back(held) == ["limited by kappa_x at its upper bound; wider bounds may damp more"]
     top = page[page.index('id="summary"') : page.index('id="controller"')]
-    assert "controller held: held back by kappa_x at its upper bound" in top
+    assert "controller held: limited by kappa_x at its upper bound" in top
     assert not re.search("controller feedback: (held|peak)", top)  # 2.0, well below the cap
     lost = replace(held, result=replace(held.result, status=GainStatus.LIMITS_CONTRADICT, violation=0.1))
     assert held_back(lost)[0] == "limits contradict, limits exceeded by 10 %"

@@ -1,1 +1,1 @@
-"""What runs the tasks of an experiment: job, engines, outcomes, and failures remembered on disk."""
+"""Run of an experiment: job, tasks, engines, outcomes, and the record of failures."""

@@ -1,4 +1,4 @@
-"""Failures are remembered on disk, so that a run that is resumed does not repeat them unless asked."""
+"""Record of failures on disk: a resumed run does not repeat failed tasks unless the user asks for it."""
 
 from __future__ import annotations
 
@@ -17,15 +17,16 @@ FOLDER = "failed"
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a task failed.
+    """Cause of the failure of a task.
 
     Attributes
     ----------
     key : str
-        Content key of the result that it should have made: with other settings or data it is tried again.
+        Content key of the missing result. The task is tried again when settings or data change.
     cause : str
-        As in `Outcome`.
+        Kind of cause, as in `Outcome`.
     text : str
+        Text of the error.
     details : str
         Traceback of a defect, else empty.
     """
@@ -37,7 +38,7 @@ class Failure:
 
 
 def failure_path(job: Job, stage: str, item: str) -> Path:
-    """Path of the record of a failure, ``failed/<stage>/<item>.json``."""
+    """Return the path of the record of a failure, ``failed/<stage>/<item>.json``."""
     return job.path(f"{FOLDER}/{stage}", item, ".json")
 
 
@@ -47,7 +48,7 @@ def remember_failure(job: Job, task: Task, failure: Failure) -> None:
     Raises
     ------
     DataError
-        When it cannot be written.
+        When the record cannot be written.
     """
     when = datetime.now(UTC).isoformat(timespec="seconds")
     document = {"stage": task.stage, "item": task.item, **failure.__dict__, "when": when}
@@ -56,7 +57,7 @@ def remember_failure(job: Job, task: Task, failure: Failure) -> None:
 
 
 def remembered_failure(job: Job, task: Task) -> Failure | None:
-    """Return why a task failed before with the same settings and data; None when it did not, or nobody knows."""
+    """Return the recorded failure of a task with the same settings and data; None without a readable record."""
     try:
         text = failure_path(job, task.stage, task.item).read_text(encoding="utf-8")
         found = json.loads(text)

@@ -1,4 +1,4 @@
-"""Results that a task starts from: there, and made from the present settings."""
+"""Inputs of tasks: they must exist and be made from the present settings."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from gbid.recording import (
 
 
 class InputError(DataError):
-    """A result that a task starts from is not there; it is no fault of the task."""
+    """Error for an input of a task that is missing or outdated; the task itself is not at fault."""
 
 
 def load_checked(path: Path, key: str, command: str) -> Recording:
-    """Read a recording after a check of its content key.
+    """Return a recording after a check of its content key.
 
     Raises
     ------
     DataError
-        When it is not there, or was made from other settings.
+        When the file is missing or was made from other settings.
     """
     check_made(path, key, command)
     return load_recording(path)
@@ -35,10 +35,10 @@ def check_made(path: Path, key: str, command: str) -> None:
     Raises
     ------
     InputError
-        Naming the command that makes it.
+        Its text names the command that makes the file.
     """
     if not path.is_file():
-        raise InputError(f"{path}: not there; `{command}` makes it")
+        raise InputError(f"{path}: file is missing; `{command}` makes it")
     found = stored_key(path)
     if not found:
         raise InputError(f"{path}: truncated or not made by an experiment; make it again with `{command} --overwrite`")
@@ -47,7 +47,7 @@ def check_made(path: Path, key: str, command: str) -> None:
 
 
 def cause_of(error: GbidError) -> Cause:
-    """Whose fault an error is: an input that is not there, the options, or the data."""
+    """Return the kind of cause of an error: a missing input, wrong options, or bad data."""
     if isinstance(error, InputError):
         return "input"
     return "usage" if isinstance(error, UsageError) else "data"

@@ -1,4 +1,4 @@
-"""What all stages share: the job, its tasks, what became of them, and who is told."""
+"""Job and tasks: the part that all stages share."""
 
 from __future__ import annotations
 
@@ -14,22 +14,23 @@ from gbid.experiment.run.reporter import Reporter, Silent
 
 @dataclass(frozen=True)
 class Task:
-    """One result file that can be made on its own, in any process.
+    """Task that makes one result file, in any process.
 
     Attributes
     ----------
     stage, item : str
+        Names of the stage and of the item.
     path : pathlib.Path
-        The file.
+        The result file.
     key : str
-        Its content key.
+        Content key of the result.
     write : callable
-        Function of a module (so that another process finds it) that makes the result from job and item, writes it
-        to the path given to it, and may say what to know of it.
+        Function that makes the result from job and item, writes it to the given path, and may return its summary. It
+        must be defined in a module, so that another process can import it.
     recordings : tuple of str
-        Recordings that it is made from.
+        Recordings from which the result is made.
     read : callable, optional
-        Tells of a result that is there what `write` told when it made it.
+        Function that returns the summary of an existing result: the same as `write` returned.
     """
 
     stage: str
@@ -42,39 +43,41 @@ class Task:
 
 
 class TaskEngine(Protocol):
-    """What runs tasks, here or elsewhere."""
+    """Engine: it runs tasks in this process or in others."""
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks and give the outcome of each with its number as soon as it is known, in any order.
+        """Run tasks; yield number and outcome of each as soon as it ends, in any order.
 
-        It tells the job's reporter when work on a task begins. Closing the generator stops what is still running.
+        The engine informs the reporter of the job when a task begins. Closing the generator stops the running tasks.
 
         Raises
         ------
         NoSpaceError
-            When the disk is full; the tasks that are left are not run.
+            When the disk is full; the remaining tasks are not run.
         """
         ...
 
     def close(self) -> None:
-        """End what runs the tasks."""
+        """Stop the workers of the engine."""
         ...
 
 
 @dataclass(frozen=True)
 class Job:
-    """An experiment to be run.
+    """Job: an experiment with the options of its run.
 
     Attributes
     ----------
     experiment : Experiment
+        The experiment to run.
     overwrite : bool
         Whether results made from other settings may be replaced.
     reporter : Reporter
+        Receiver of the progress.
     engine : TaskEngine, optional
-        What runs the tasks; one after the other in this process when not given.
+        Engine that runs the tasks; without it they run one after the other in this process.
     retry : bool
-        Whether what failed in an earlier run, with the same settings and data, is tried again.
+        Whether tasks that failed in an earlier run, with the same settings and data, are tried again.
     """
 
     experiment: Experiment
@@ -84,5 +87,5 @@ class Job:
     retry: bool = False
 
     def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
-        """Path of a result."""
+        """Return the path of a result."""
         return self.experiment.results / folder / f"{name}{ending}"

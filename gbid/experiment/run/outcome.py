@@ -1,4 +1,4 @@
-"""What became of one result."""
+"""Outcome of a task."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ Cause = Literal["", "input", "data", "usage", "defect", "crash"]
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of one result file.
+    """Outcome of one result file.
 
     Attributes
     ----------
     stage, item : str
-        ``"fit"`` and ``"bearing/p5_n6000_prbs1"``, for example.
+        Names of stage and item, for example ``"fit"`` and ``"bearing/p5_n6000_prbs1"``.
     path : pathlib.Path
-        The file.
+        The result file.
     state : {"made", "kept", "failed"}
-        Kept: it was there, made from the same settings and data.
+        ``kept``: the file existed already, made from the same settings and data.
     text : str
-        Why it failed, or what to know about it.
+        Reason of a failure, or a note about the result.
     seconds : float
-        Time it took.
+        Computing time [s].
     converged : bool
-        False for a fit that did not; its file is written all the same.
+        False for a fit that did not converge; its file is written anyway.
     fit_percent : float
-        Of a fit, the smallest of its outputs; nan for anything else.
+        For a fit, the smallest fit percent of its outputs; nan for other results.
     cause : {"", "input", "data", "usage", "defect", "crash"}
-        Of a failure: an input that is not there, bad data, wrong options, a defect of gbid, a process that died.
+        Cause of a failure: missing input, bad data, wrong options, defect of gbid, or death of the process.
     before : bool
-        Whether it failed in an earlier run, and was not tried again.
+        Whether the task failed in an earlier run and was not tried again.
     """
 
     stage: str
@@ -51,7 +51,7 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Made:
-    """What to know of a result; see `Outcome`."""
+    """Summary of a result; the fields are those of `Outcome`."""
 
     text: str = ""
     converged: bool = True

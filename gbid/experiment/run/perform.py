@@ -1,4 +1,4 @@
-"""How results are made or kept: one task, or all tasks of a stage on an engine."""
+"""Execution of tasks: one task, or all tasks of a stage on an engine."""
 
 from __future__ import annotations
 
@@ -17,25 +17,26 @@ from gbid.experiment.run.outcome import Made, Outcome
 
 
 def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] | None = None) -> list[Outcome]:
-    """Keep the results that are there, let the job's engine make the others.
+    """Keep the results that are current and make the others with the engine of the job.
 
     Parameters
     ----------
     job : Job
+        The job.
     tasks : sequence of Task
-        Of one stage; they do not start from one another.
+        Tasks of one stage; none needs the result of another.
     known : sequence of Outcome or None, optional
-        What `standing` says of each, when the caller has asked already.
+        Results of `standing` for the tasks, when the caller has them already.
 
     Returns
     -------
     list of Outcome
-        In the order of the tasks.
+        Outcomes in the order of the tasks.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced; nothing has been made then.
+        When a result made from other settings exists and must not be replaced. No task has run then.
     NoSpaceError
         When the disk is full.
     """
@@ -52,20 +53,20 @@ def run_tasks(job: Job, tasks: Sequence[Task], known: Sequence[Outcome | None] |
         running = (job.engine or InTurn()).outcomes(job, [tasks[number] for number in todo])
         try:
             for which, outcome in running:
-                found[todo[which]] = told = replace(outcome, path=tasks[todo[which]].path)
-                job.reporter.end(told)
+                found[todo[which]] = ended = replace(outcome, path=tasks[todo[which]].path)
+                job.reporter.end(ended)
         finally:
             running.close()
     return [outcome for outcome in found if outcome is not None]
 
 
 def standing(job: Job, task: Task) -> Outcome | None:
-    """Outcome of a task that needs no work: its result is there, or it failed before; None for one to be done.
+    """Return the outcome of a task that need not run, because its result is current or it failed before; else None.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced.
+        When a result made from other settings exists and must not be replaced.
     """
     try:
         if is_current(task.path, task.key, job.overwrite):
@@ -81,17 +82,19 @@ def standing(job: Job, task: Task) -> Outcome | None:
 
 
 def perform(job: Job, task: Task) -> Outcome:
-    """Make the result of a task; whatever goes wrong is an outcome, so that the others go on.
+    """Run a task and return its outcome; an error becomes an outcome, so that the other tasks go on.
 
     Parameters
     ----------
     job : Job
+        The job.
     task : Task
+        The task to run.
 
     Returns
     -------
     Outcome
-        Failures are remembered on disk, but for those of inputs that are not there.
+        Outcome of the task. A failure is recorded on disk, except for a missing input.
 
     Raises
     ------
@@ -116,34 +119,37 @@ def perform(job: Job, task: Task) -> Outcome:
 
 
 def fail(job: Job, task: Task, failure: Failure) -> Outcome:
-    """Give the outcome of a task that failed, and remember it."""
+    """Return the outcome of a failed task and record the failure on disk."""
     if failure.cause != "input":
         remember_failure(job, task, failure)
     return Outcome(task.stage, task.item, task.path, "failed", failure.text, cause=failure.cause)
 
 
 def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callable[[Path], str | None]) -> Outcome:
-    """Keep a result, or make it in this process; bad data are an outcome, so that the others go on.
+    """Keep a result, or make it in this process; bad data become an outcome, so that the other results go on.
 
     Parameters
     ----------
     job : Job
+        The job.
     stage, item : str
+        Names of stage and item.
     path : pathlib.Path
-        The result.
+        The result file.
     key : str
-        Its content key.
+        Content key of the result.
     write : callable
-        Makes the result, writes it to the path given to it, and may say a word about it.
+        Function that makes the result, writes it to the given path, and may return a note about it.
 
     Returns
     -------
     Outcome
+        Outcome of the result file.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced.
+        When a result made from other settings exists and must not be replaced.
     """
     began = time.perf_counter()
     try:
@@ -184,13 +190,13 @@ def _failure_of(task: Task, error: Exception) -> Failure:
 
 
 class InTurn:
-    """The engine that runs one task after the other in this process."""
+    """Engine that runs one task after the other in this process."""
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks in their order."""
+        """Run the tasks in their order; yield number and outcome of each."""
         for number, task in enumerate(tasks):
             job.reporter.begin(task.stage, task.item)
             yield number, perform(job, task)
 
     def close(self) -> None:
-        """Do nothing."""
+        """Do nothing: there are no workers."""

@@ -1,4 +1,4 @@
-"""Who is told how a run gets on."""
+"""Reporter: receiver of the progress of a run."""
 
 from __future__ import annotations
 
@@ -10,43 +10,43 @@ from gbid.identify import Progress
 
 
 class Reporter(Protocol):
-    """Where stages tell how they get on."""
+    """Receiver of the progress of stages."""
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Tell how many items of a stage are to be made, are there, and failed before; their outcomes follow."""
+        """Receive the numbers of items of a stage to make, existing, and failed before; their outcomes follow."""
         ...
 
     def begin(self, stage: str, item: str) -> None:
-        """Tell that work on an item begins."""
+        """Receive the start of work on an item."""
         ...
 
     def iteration(self, progress: Progress) -> None:
-        """Tell of an iteration of the solver."""
+        """Receive an iteration of the solver."""
         ...
 
     def search(self, step: SearchStep) -> None:
-        """Tell how far a search for gains has come."""
+        """Receive a step of a search for gains."""
         ...
 
     def end(self, outcome: Outcome) -> None:
-        """Tell what became of an item."""
+        """Receive the outcome of an item."""
         ...
 
 
 class Silent:
-    """A reporter that says nothing."""
+    """Reporter that ignores all progress."""
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Say nothing."""
+        """Ignore the numbers of items."""
 
     def begin(self, stage: str, item: str) -> None:
-        """Say nothing."""
+        """Ignore the start of an item."""
 
     def iteration(self, progress: Progress) -> None:
-        """Say nothing."""
+        """Ignore an iteration."""
 
     def search(self, step: SearchStep) -> None:
-        """Say nothing."""
+        """Ignore a step of the search."""
 
     def end(self, outcome: Outcome) -> None:
-        """Say nothing."""
+        """Ignore an outcome."""

@@ -1,4 +1,4 @@
-"""A stage of an experiment: what a section of the YAML means, and the tasks that make its results."""
+"""Stage of an experiment: a section of the YAML, its checks, and the tasks that make its results."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from gbid.experiment.run.perform import run_tasks
 from gbid.experiment.run.view import View
 
 Work = Sequence[Task | Outcome]
-"""Tasks, and outcomes of items that need none, because nothing can be done for them."""
+"""Tasks to run, and outcomes of items for which no task is possible."""
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage.
+    """Stage of an experiment.
 
     Attributes
     ----------
     name : str
-        As progress and outcomes call it.
+        Name of the stage in progress and outcomes.
     section : str
-        Its key in the YAML; the form of the section is a field of `gbid.experiment.schema.ExperimentFile`.
+        Key of its section in the YAML; a field of `gbid.experiment.schema.ExperimentFile` defines the section.
     checks : tuple of callable
-        What is wrong with the section, as far as it can be known before anything runs.
+        Checks of the section that are possible before a run.
     tasks : callable
-        Work of the section; none when the YAML does not have it.
+        Function that returns the work of the section; empty when the YAML has no such section.
     then : tuple of callable
-        Work that starts from what the stage has made so far, as tables of its results; one after the other.
+        Functions that return work on the results of the stage, such as tables; run one after the other.
     early : bool
-        Whether its tasks are known before any other stage has run. These stages make a campaign.
+        Whether its tasks are known before any other stage has run. Campaigns consist of these stages.
     view : View, optional
-        What verbs show of it. Those of gbid's own stages are in `gbid.cli.views`, above the tables of the report.
-        A stage without one shows its outcomes.
+        JSON document and tables of its outcomes for verbs. Those of gbid's own stages are in `gbid.cli.views`. Without
+        a view, the outcomes are shown as a list.
     """
 
     name: str
@@ -48,17 +48,17 @@ class Stage:
 
 
 def run_stage(job: Job, stage: Stage) -> list[Outcome]:
-    """Make the results of a stage, or keep them.
+    """Make or keep the results of a stage and return their outcomes.
 
     Returns
     -------
     list of Outcome
-        Empty when the YAML does not have the section. What cannot be made does not stop the rest.
+        Empty when the YAML has no such section. A failure does not stop the other tasks.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced.
+        When a result made from other settings exists and must not be replaced.
     NoSpaceError
         When the disk is full.
     """
@@ -66,7 +66,7 @@ def run_stage(job: Job, stage: Stage) -> list[Outcome]:
 
 
 def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
-    """Make what starts from the results of a stage's tasks; return the outcomes of both."""
+    """Make the results that start from those of the stage's tasks; return the outcomes of both."""
     outcomes = list(made)
     for work in stage.then:
         outcomes += do_work(job, work(job, outcomes))
@@ -74,7 +74,7 @@ def go_on(job: Job, stage: Stage, made: Sequence[Outcome]) -> list[Outcome]:
 
 
 def do_work(job: Job, work: Work) -> list[Outcome]:
-    """Run tasks, after telling the outcomes of items that need none."""
+    """Run tasks and return their outcomes, after those of items that need no task."""
     settled = [item for item in work if isinstance(item, Outcome)]
     for outcome in settled:
         job.reporter.end(outcome)

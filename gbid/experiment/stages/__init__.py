@@ -1,1 +1,1 @@
-"""The stages of an experiment, a folder each: schema, checks, plan, and what makes its results."""
+"""Stages of an experiment, one folder each: schema, checks, plan, and the tasks that make the results."""

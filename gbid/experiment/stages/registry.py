@@ -1,4 +1,4 @@
-"""The stages of an experiment in the order in which they run.
+"""Stages of an experiment, in the order in which they run.
 
 A new stage is a folder beside this module, an entry here, and a field of `gbid.experiment.schema.ExperimentFile`.
 """

@@ -88,7 +88,7 @@ def _compared(title: str, worst: Mapping[str, Mapping[str, float]], notes: Seque
 
 def _lines(document: Row) -> list[str]:
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in document["gains"].items())
-    held = f"; held back by {', '.join(document['active'])}" if document["active"] else ""
+    held = f"; limited by {', '.join(document['active'])}" if document["active"] else ""
     unit = " 1/s" if document["objective"] == "decay" else ""
     worst = document["worst"]
     lines = [

@@ -1,1 +1,1 @@
-"""Cross-validation: models on recordings that they were not fitted to."""
+"""Cross-validation: models on recordings to which they were not fitted."""

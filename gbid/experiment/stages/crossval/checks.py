@@ -1,4 +1,4 @@
-"""What the crossval section means: there are recordings to validate on."""
+"""Checks of the crossval section: its fits and the recordings for validation exist."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gbid.experiment.stages.crossval.plan import SPECIAL, validation_pairs
 
 
 def crossval_has_partners(experiment: Experiment) -> Found:
-    """Fits to validate exist, and there are recordings to validate them on."""
+    """Yield a problem for each cross-validation without a fit or without recordings."""
     for name, section in experiment.spec.crossval.items():
         if name not in experiment.spec.fits:
             yield ("crossval", name), f"no fit of this name; {nearest(name, experiment.spec.fits)}"

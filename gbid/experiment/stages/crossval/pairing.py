@@ -1,4 +1,4 @@
-"""One model of a fit and one recording that it is validated on."""
+"""Cross-validation of one model on one recording."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ from gbid.recording import Recording
 from gbid.structure import evaluate
 from gbid.validate import ResidualTest, Validation, check_residuals, cross_validate
 
-_LAGS = 50  # of the residual test
+_LAGS = 50  # largest lag of the residual test
 
 
 def validate_pair(job: Job, name: str, model: str, recording: str) -> Validation:
-    """Put one model of a fit to one recording.
+    """Return the scores of one model of a fit on one recording.
 
     Raises
     ------
     DataError
-        When the fit or the recording is not there, or they do not go together.
+        When the fit or the recording is missing, or their signals differ.
     """
     result, data = _model_and_recording(job, name, model, recording)
     return cross_validate(result, data, left_out_of(job, name, data))
 
 
 def residuals_of_pair(job: Job, name: str, model: str, recording: str) -> ResidualTest:
-    """Test the residuals of one model of a fit on one recording.
+    """Return the residual tests of one model of a fit on one recording.
 
     Raises
     ------
     DataError
-        When the fit or the recording is not there, or they do not go together.
+        When the fit or the recording is missing, or their signals differ.
     """
     return residuals_on(job, name, *_model_and_recording(job, name, model, recording))
 
 
 def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> ResidualTest:
-    """Test the residuals of a model that is at hand."""
+    """Return the residual tests of a loaded model on a loaded recording."""
     left_out = left_out_of(job, name, data)
     edges = [0, *sorted(edge for stretch in left_out for edge in stretch), data.n_samples]
     longest = max(stop - start for start, stop in zip(edges[::2], edges[1::2], strict=True))
@@ -55,45 +55,47 @@ def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> Res
 
 
 def left_out_of(job: Job, name: str, data: Recording) -> list[tuple[int, int]]:
-    """List the samples of a recording that the experiment leaves out of a fit.
+    """Return the samples of a recording that the experiment leaves out of a fit, as (first, stop) pairs.
 
     Raises
     ------
     DataError
-        When a stretch lies beyond the recording.
+        When a stretch lies beyond the end of the recording.
     """
     stretches = job.experiment.spec.fits[name].left_out.get(data.name, ())
     return [samples_of(data, *stretch) for stretch in stretches]
 
 
 def pair_keys(job: Job, name: str, model: str, recording: str) -> list[str]:
-    """Content keys of a model and the recording that it is put to."""
+    """Return the content keys of a model and of the recording on which it is validated."""
     return [model_key(job.experiment, name, model), data_key(job.experiment, name, recording)]
 
 
 def data_key(experiment: Experiment, name: str, recording: str) -> str:
-    """Content key of a recording that a fit is validated on, with what is left out of it."""
+    """Return the content key of a recording for validation, with the stretches that are left out."""
     key = fit_input_key(experiment, experiment.recordings[recording])
     left_out = experiment.spec.fits[name].left_out.get(recording)
     return f"{key} without {left_out}" if left_out else key
 
 
 def check_model(job: Job, name: str, model: str) -> None:
-    """Refuse a model that is not there or was made from other settings, without reading it.
+    """Refuse a model that is missing or was made from other settings; the file is not read in full.
 
     Raises
     ------
     DataError
+        When the model is missing or was made from other settings.
     """
     check_made(fit_path(job, name, model), model_key(job.experiment, name, model), "gbid fit")
 
 
 def check_fit_input(job: Job, recording: str) -> None:
-    """Refuse a recording that is not there or was made from other settings, without reading it.
+    """Refuse a recording that is missing or was made from other settings; the file is not read in full.
 
     Raises
     ------
     DataError
+        When the recording is missing or was made from other settings.
     """
     planned = job.experiment.recordings[recording]
     raw = job.experiment.spec.prefilter is None
@@ -102,19 +104,19 @@ def check_fit_input(job: Job, recording: str) -> None:
 
 
 def drawn_pairs(job: Job) -> Iterable[tuple[str, str, str]]:
-    """Fit, model and recording of each picture that the experiment asks for."""
+    """Yield fit, model and recording of each figure of the experiment."""
     for name in job.experiment.spec.figures:
         for model, recording in figure_pairs(job.experiment, name):
             yield name, model, recording
 
 
 def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitResult:
-    """Give a model the local parameters that hold for a recording: its own, or those of its operating point.
+    """Return a fit result with the local parameters of a recording, or those of its operating point.
 
     Raises
     ------
     DataError
-        When there are none.
+        When the result has no local parameters for the recording.
     """
     if not result.local_names:
         return result

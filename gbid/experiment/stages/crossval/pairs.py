@@ -1,4 +1,4 @@
-"""Pairs of a fit's cross-validation: which can be validated, what keys their table, and the rows that they give."""
+"""Pairs of model and recording in the cross-validation of a fit: those possible, their content key and rows."""
 
 from __future__ import annotations
 
@@ -25,32 +25,33 @@ from gbid.validate.crossval import score
 from gbid.validate.simulator import Simulator, simulator
 from gbid.validate.validation_data import ValidationData, validation_data
 
-_MANY = 200  # pairs up to which the residuals of each are tested
-_MODELS_AT_HAND = 256
+_MANY = 200  # largest number of pairs for which the residuals of each pair are tested
+_MODELS_IN_MEMORY = 256
 
 Pair = tuple[str, str]
 """Model and recording."""
 
 
 class FitPairs:
-    """Pairs of one fit, with what is at hand of them.
+    """Pairs of one fit; models and keys are loaded once.
 
     Parameters
     ----------
     job : Job
+        The job.
     name : str
         Name of the fit.
     """
 
     def __init__(self, job: Job, name: str) -> None:
         self._job, self._name = job, name
-        self._model = lru_cache(maxsize=_MODELS_AT_HAND)(self._load_model)
+        self._model = lru_cache(maxsize=_MODELS_IN_MEMORY)(self._load_model)
         self._model_key = lru_cache(maxsize=None)(lambda model: model_key(job.experiment, name, model))
         self._data_key = lru_cache(maxsize=None)(lambda recording: data_key(job.experiment, name, recording))
 
     @cached_property
     def missing(self) -> dict[Pair, str]:
-        """Pairs whose model or recording is not there, and why."""
+        """Pairs whose model or recording is missing, with the reason."""
         pairs = validation_pairs(self._job.experiment, self._name)
         models = {model: self._why_not(model, "model") for model, _ in pairs}
         recordings = {recording: self._why_not(recording, "recording") for _, recording in pairs}
@@ -69,11 +70,11 @@ class FitPairs:
         return content_key("crossval", settings, [self.key_of(pair) for pair in self.there])
 
     def key_of(self, pair: Pair) -> str:
-        """Content keys of a pair."""
+        """Return the content keys of model and recording of a pair, as one text."""
         return f"{self._model_key(pair[0])} {self._data_key(pair[1])}"
 
     def rows(self) -> tuple[list[CrossvalRow], dict[Pair, str]]:
-        """Rows of all pairs in their order, and why some give none; each recording is read once."""
+        """Return the rows of all pairs in order, and the reason for pairs without rows; reads each recording once."""
         found: dict[Pair, list[CrossvalRow]] = {}
         failed: dict[Pair, str] = {}
         tested = set(dict(reversed(self.there)).items())  # the first pair of each model

@@ -1,4 +1,4 @@
-"""Which model is validated on which recording (paper, Sec. 3.8)."""
+"""Plan of a cross-validation: pairs of model and recording (paper, Sec. 3.8)."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ SPECIAL = ("cyclic", "others", "point")
 
 
 def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
-    """Pairs of model and recording of a fit's cross-validation.
+    """Return the pairs of model and recording in the cross-validation of a fit.
 
     ``cyclic``: model j on recording j + 1 of the same operating point, the last on the first. ``others``: each
-    model on all other excited recordings. ``point``: on those of its operating points. Names: each model on these.
+    model on all other excited recordings. ``point``: on those of its operating points. Names: each model on the
+    recordings with these names.
 
     Returns
     -------
     list of (model, recording)
-        The recording is empty where a model has no partner.
+        The recording is empty for a model without a recording to validate on.
     """
     models, on = fit_models(experiment, fit), experiment.spec.crossval[fit].on
     if on == ("cyclic",):
@@ -35,14 +36,14 @@ def validation_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
 
 
 def figure_pairs(experiment: Experiment, fit: str) -> list[tuple[str, str]]:
-    """Pairs that a fit's figures show: those of its cross-validation, else each model on its own recordings."""
+    """Return the pairs of the figures of a fit: those of its cross-validation, else each model on its recordings."""
     if fit in experiment.spec.crossval:
         return validation_pairs(experiment, fit)
     return [(model, name) for model, names in fit_models(experiment, fit).items() for name in names]
 
 
 def _next(experiment: Experiment, model: str, models: list[str]) -> str:
-    """Return the recording after a model's own at the same operating point, empty when there is none."""
+    """Return the next recording of the same operating point; empty when there is none."""
     point = experiment.recordings[model].point
     same = [name for name in models if experiment.recordings[name].point == point]
     return same[(same.index(model) + 1) % len(same)] if len(same) > 1 else ""

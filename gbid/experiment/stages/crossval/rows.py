@@ -1,4 +1,4 @@
-"""Rows of a cross-validation, and their CSV table."""
+"""Rows of a cross-validation, and their table in CSV."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from gbid.tables.table import Table, Value, plain_table
 from gbid.validate import ValidationScores
 
 COLUMNS = ("model", "recording", "output", "fit_percent", "infinity_norm", "unit", "residual_p", "residuals_follow")
-_LEVEL = 0.01  # of the test of whiteness, over all outputs
+_LEVEL = 0.01  # significance level of the whiteness test, over all outputs
 
 
 @dataclass(frozen=True)
 class CrossvalRow:
-    """How one output of a recording is explained by one model.
+    """Scores of one model for one output of a recording.
 
     Attributes
     ----------
     fit, model, recording, output : str
+        Names.
     fit_percent : float
-        Simulated.
+        Fit percent of the simulation.
     infinity_norm : float
         Largest deviation of the simulation, in `unit`.
     unit : str
+        Unit of the output.
     residual_p : float or None
-        Probability of less white residuals if they were white; the residuals are those of the fit's own focus.
-        None where they were not tested.
+        p-value of the whiteness test of the residuals. The residuals are those of the focus of the fit. None when they
+        were not tested.
     residuals_white : bool or None
+        Whether the whiteness test does not reject; None when it was not made.
     residuals_follow : tuple of str
-        Inputs that are still to be found in the residuals.
+        Inputs that are correlated with the residuals.
     minimum_percent : float or None
-        What the experiment asks for.
+        Smallest fit percent that the experiment requires.
     """
 
     fit: str
@@ -54,12 +57,12 @@ class CrossvalRow:
 
     @property
     def missed(self) -> bool:
-        """Whether the fit stays below the minimum asked for."""
+        """Whether the fit percent is below the required minimum."""
         return self.minimum_percent is not None and not self.fit_percent >= self.minimum_percent
 
 
 def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
-    """Put the rows of one fit side by side."""
+    """Return the scores of the rows of one fit as arrays."""
     outputs = tuple(dict.fromkeys(row.output for row in rows))
     first = rows[:: len(outputs)]
     known = [job.experiment.recordings[row.recording].conditions for row in first]
@@ -77,18 +80,18 @@ def scores_of_rows(job: Job, rows: Sequence[CrossvalRow]) -> ValidationScores:
 
 
 def rows_table(rows: Sequence[CrossvalRow]) -> Table:
-    """Table of a fit's cross-validation, as its CSV file holds it."""
+    """Return the table of the cross-validation of a fit, as in its CSV file."""
     notes = (
         "fit_percent: 100 (1 - |y - yhat| / |y - mean y|), yhat simulated; infinity_norm: largest |y - yhat|",
-        "residual_p: probability of less white residuals if they were white, empty where not tested; "
-        "residuals_follow: inputs still to be found in them",
+        "residual_p: p-value of the whiteness test, empty where not tested; "
+        "residuals_follow: inputs that are correlated with the residuals",
     )
     values = [[_value(getattr(row, column)) for column in COLUMNS] for row in rows]
     return plain_table(COLUMNS, values, notes)
 
 
 def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
-    """Read the CSV table of a fit's cross-validation."""
+    """Return the rows in the CSV table of the cross-validation of a fit."""
     with path.open(encoding="utf-8", newline="") as handle:
         table = list(csv.DictReader(line for line in handle if not line.startswith("#")))
     minimum = job.experiment.spec.crossval[name].minimum_percent

@@ -1,4 +1,4 @@
-"""Stage that cross-validates (paper, Sec. 3.8): models on recordings that they were not fitted to."""
+"""Stage of the cross-validation (paper, Sec. 3.8): models on recordings to which they were not fitted."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SUMMARY = "_summary"
 
 
 def crossval_tasks(job: Job) -> Work:
-    """List the tasks of the crossval section, one for each fit; pairs whose model or recording is not there failed."""
+    """Return one task for each fit, and failed outcomes for pairs whose model or recording is missing."""
     work: list[Task | Outcome] = []
     for name in job.experiment.spec.crossval:
         pairs, path = FitPairs(job, name), _path(job, name)
@@ -34,12 +34,12 @@ def crossval_tasks(job: Job) -> Work:
 
 
 def crossval_rows(job: Job) -> list[CrossvalRow]:
-    """Read the rows of all fits that are cross-validated, as far as they are there."""
+    """Return the existing rows of all cross-validated fits."""
     return [row for name in job.experiment.spec.crossval for row in read_crossval(job, name)]
 
 
 def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
-    """Read the rows of a fit's cross-validation; empty unless they are there, made from the present results."""
+    """Return the rows of the cross-validation of a fit; empty unless they are made from the present results."""
     pairs, path = FitPairs(job, name), _path(job, name)
     if not pairs.there or not path.is_file() or stored_key(path) != pairs.key:
         return []
@@ -47,7 +47,7 @@ def read_crossval(job: Job, name: str) -> list[CrossvalRow]:
 
 
 def read_summary(job: Job, name: str) -> ValidationSummary | None:
-    """Read the summary of a fit's cross-validation; None unless it is there, made from the rows that are there."""
+    """Return the summary of the cross-validation of a fit; None unless it is made from the existing rows."""
     path = job.path(FOLDER, f"{name}{SUMMARY}")
     if not path.is_file():
         return None
@@ -60,7 +60,7 @@ def _path(job: Job, name: str) -> Path:
 
 
 def _item(job: Job, name: str, pair: Pair, key: str = "") -> Task:
-    """Return a pair as the task that its table is made by, under which its failure is remembered."""
+    """Return the task under which the failure of a pair is recorded."""
     model, recording = pair
     return Task("crossval", f"{name}/{model} on {recording}", _path(job, name), key, _write_table)
 
@@ -71,7 +71,7 @@ def _failed(job: Job, name: str, pair: Pair, text: str) -> Outcome:
 
 
 def _write_table(job: Job, name: str, part: Path) -> None:
-    """Write the rows of all pairs; those that give none are remembered as failed."""
+    """Write the rows of all pairs; pairs without rows are recorded as failed."""
     pairs = FitPairs(job, name)
     rows, failed = pairs.rows()
     for pair, text in failed.items():
@@ -84,18 +84,18 @@ def _write_table(job: Job, name: str, part: Path) -> None:
 
 
 def _failed_pairs(job: Job, name: str, pairs: FitPairs, rows: Sequence[CrossvalRow]) -> dict[Pair, str]:
-    """Pairs that are there and gave no rows, and why."""
+    """Return the possible pairs without rows, with the reason."""
     done = {(row.model, row.recording) for row in rows}
     found = {}
     for pair in pairs.there:
         if pair not in done:
             failure = remembered_failure(job, _item(job, name, pair, pairs.key_of(pair)))
-            found[pair] = failure.text if failure else "failed in an earlier run; --overwrite tries again"
+            found[pair] = failure.text if failure else "failed in an earlier run; run again with --overwrite"
     return found
 
 
 def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
-    """Tell the pairs that gave no rows, and list the tasks of the summaries."""
+    """Return failed outcomes of pairs without rows, and the tasks of the summaries."""
     work: list[Task | Outcome] = []
     for outcome in made:
         name = outcome.item
@@ -120,7 +120,7 @@ def _texts(failed: dict[Pair, str]) -> list[str]:
 
 
 def _summary(job: Job, item: str) -> tuple[ValidationSummary, str]:
-    """Summarise the table of a fit; return its content key as well."""
+    """Return the summary of a fit's table and its content key."""
     name = Path(item).stem.removesuffix(SUMMARY)
     pairs, rows = FitPairs(job, name), read_rows(job, name, _path(job, name))
     failed = _texts({**pairs.missing, **_failed_pairs(job, name, pairs, rows)})

@@ -1,4 +1,4 @@
-"""What the figures section means: the fits to draw exist."""
+"""Checks of the figures section."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from gbid.experiment.problems import Found, nearest
 
 
 def figures_show_fits(experiment: Experiment) -> Found:
-    """Fits to draw exist, and the part shown is not empty."""
+    """Yield a problem for each figure of an unknown fit or of an empty time range."""
     for name, section in experiment.spec.figures.items():
         if name not in experiment.spec.fits:
             yield ("figures", name), f"no fit of this name; {nearest(name, experiment.spec.fits)}"

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of figures of fits."""
+"""Schema of the figures section."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from gbid.experiment.fields import NotNegative, Positive, Section, Switch
 
 
 class FigureSection(Section):
-    """The part of the recording that the picture shows, and whether one of the residuals is drawn beside it."""
+    """Time range that the figure shows, and whether it also shows the residuals."""
 
     from_s: NotNegative | None = None
     to_s: Positive | None = None

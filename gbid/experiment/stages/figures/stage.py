@@ -1,4 +1,4 @@
-"""Stage of the figures of fits; they are drawn above, in `gbid.report`, from what the other stages have made."""
+"""Stage of the figures of fits; `gbid.report` draws them from the results of the other stages."""
 
 from __future__ import annotations
 

@@ -13,7 +13,7 @@ from gbid.structure import Parameter, symbolic_matrices
 
 
 def structures_load(experiment: Experiment) -> Found:
-    """Structures are known, their files import, their matrices fit."""
+    """Yield a problem for each fit whose structure is unknown or cannot be built."""
     for name in experiment.spec.fits:
         try:
             structure = make_structure(experiment, name)
@@ -24,7 +24,7 @@ def structures_load(experiment: Experiment) -> Found:
 
 
 def fits_find_recordings(experiment: Experiment) -> Found:
-    """Fits name recordings that exist."""
+    """Yield a problem for each pattern that matches no recording."""
     for name, section in experiment.spec.fits.items():
         for pattern in section.recordings or ():
             if not experiment.matching((pattern,)):
@@ -37,7 +37,7 @@ def fits_find_recordings(experiment: Experiment) -> Found:
 
 
 def parameters_are_known(experiment: Experiment) -> Found:
-    """Names of parameters are those of the structure; start values, fixed values and bounds fit together."""
+    """Yield problems of parameter names, start values, fixed values and bounds."""
     for name, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, name)
         if structure is None:
@@ -64,7 +64,7 @@ def parameters_are_known(experiment: Experiment) -> Found:
 
 
 def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
-    """Bounds are in order and hold the start values."""
+    """Yield a problem for bounds that are not in order or exclude the start value."""
     for parameter, (low, high) in section.bounds.items():
         where = ("fits", name, "bounds", parameter)
         lower, upper = float("-inf") if low is None else low, float("inf") if high is None else high
@@ -83,7 +83,7 @@ def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter])
 
 
 def signals_are_there(experiment: Experiment) -> Found:
-    """Each recording of a fit has the signals and channels that the fit needs."""
+    """Yield a problem for each signal or channel that a recording of a fit does not have."""
     for name, section in experiment.spec.fits.items():
         structure = structure_or_none(experiment, name)
         if structure is None:

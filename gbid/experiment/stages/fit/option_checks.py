@@ -1,4 +1,4 @@
-"""Checks of what the options of a fit mean together with its structure and recordings."""
+"""Checks of the options of a fit together with its structure and recordings."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ from gbid.structure import Matrices, Structure, symbolic_matrices
 
 
 def focus_sees_options(experiment: Experiment) -> Found:
-    """Horizons are for predictions; parameters with a prior, or local ones, are seen by the focus."""
+    """Yield a problem for each option that has no effect on a fit for simulation."""
     for name, section in experiment.spec.fits.items():
         if section.focus != "simulation":
             continue
         if section.horizon > 1:
-            yield ("fits", name, "horizon"), "a horizon is for focus: prediction; a simulation looks ahead without end"
+            yield ("fits", name, "horizon"), "a horizon is for focus: prediction; a simulation has no horizon"
         known = _matrices(experiment, name)
         if known is None:
             continue
         p, matrices, structure = known
-        dark = _only_in_gain(p, matrices, structure)
+        unseen = _only_in_gain(p, matrices, structure)
         for key, given in (("prior", section.prior), ("local", section.local)):
             for parameter in given:
-                if parameter.partition("[")[0] in dark:
-                    yield ("fits", name, key, parameter), "a simulation does not see the disturbance gain; remove it"
+                if parameter.partition("[")[0] in unseen:
+                    yield ("fits", name, key, parameter), "a simulation does not use the disturbance gain; remove it"
 
 
 def vectors_have_their_length(experiment: Experiment) -> Found:
-    """There is one weight for each output, and one number for each state."""
+    """Yield a problem when the numbers of weights and outputs, or of initial values and states, differ."""
     for name, section in experiment.spec.fits.items():
         known = _matrices(experiment, name)
         if known is None:
@@ -54,7 +54,7 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
 
 
 def local_parameters_have_groups(experiment: Experiment) -> Found:
-    """Local parameters are for a fit to several recordings, those local to a point for recordings that state it."""
+    """Yield a problem for local parameters of a fit to one recording, or without operating points."""
     for name, section in experiment.spec.fits.items():
         planned = experiment.fit_recordings(name)
         if section.local and (not section.together or len(planned) < 2):
@@ -68,12 +68,12 @@ def local_parameters_have_groups(experiment: Experiment) -> Found:
             if scope == "operating_point" and silent:
                 yield (
                     ("fits", name, "local", parameter),
-                    f"recording {silent[0]!r} states no pressure_bar and speed_rpm; add conditions",
+                    f"recording {silent[0]!r} has no pressure_bar and speed_rpm; add them to its conditions",
                 )
 
 
 def stretches_left_out_exist(experiment: Experiment) -> Found:
-    """Stretches that are left out lie within recordings of the fit."""
+    """Yield a problem for each left-out stretch that is not inside a recording of the fit."""
     rig = experiment.spec.rig
     for name, section in experiment.spec.fits.items():
         used = {q.name: q for q in experiment.fit_recordings(name)}
@@ -93,16 +93,16 @@ def stretches_left_out_exist(experiment: Experiment) -> Found:
         known = _matrices(experiment, name)
         if known is not None and section.left_out and section.horizon > 1 and section.focus == "prediction":
             p, matrices, structure = known
-            dark = _only_in_gain(p, matrices, structure)
-            if matrices.K.nnz() and not set(dark) <= set(section.fixed):
+            gain_only = _only_in_gain(p, matrices, structure)
+            if matrices.K.nnz() and not set(gain_only) <= set(section.fixed):
                 yield (
                     ("fits", name, "left_out"),
-                    "goes with a horizon of 1 only, or without a disturbance gain; choose one",
+                    "needs a horizon of 1, or a structure without disturbance gain; change one of them",
                 )
 
 
 def _matrices(experiment: Experiment, fit: str) -> tuple[ca.SX, Matrices, Structure] | None:
-    """Symbolic matrices, None when another check complains of the structure."""
+    """Return the symbolic matrices and the structure; None when another check reports the structure."""
     structure = structure_or_none(experiment, fit)
     if structure is None:
         return None
@@ -113,7 +113,7 @@ def _matrices(experiment: Experiment, fit: str) -> tuple[ca.SX, Matrices, Struct
 
 
 def _only_in_gain(p: ca.SX, matrices: Matrices, structure: Structure) -> list[str]:
-    """Parameters that the disturbance gain alone holds."""
+    """Return the names of the parameters on which only the disturbance gain depends."""
     rest = ca.vertcat(*(ca.vec(ca.densify(m)) for letter, m in matrices._asdict().items() if letter != "K"))
     seen = ca.which_depends(rest, p, 1, False)
     return [q.name for q, there in zip(structure.parameters, seen, strict=True) if not there]

@@ -1,4 +1,4 @@
-"""Which models a fit gives, and the recordings of each."""
+"""Plan of a fit: its models and the recordings of each."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ TOGETHER = "together"
 
 
 def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
-    """Models that a fit gives, by name, each with the recordings that it is fitted to."""
+    """Return the models of a fit by name, each with the recordings to which it is fitted."""
     names = [q.name for q in experiment.fit_recordings(fit)]
     if experiment.spec.fits[fit].together:
         return {TOGETHER: names}
@@ -17,7 +17,7 @@ def fit_models(experiment: Experiment, fit: str) -> dict[str, list[str]]:
 
 
 def recordings_of(experiment: Experiment, fit: str, model: str) -> list[str]:
-    """List the recordings that one model of a fit is fitted to."""
+    """Return the recordings to which one model of a fit is fitted."""
     if experiment.spec.fits[fit].together:
         return [q.name for q in experiment.fit_recordings(fit)]
     return [model]

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of a fit: all options of `gbid.fit` and `gbid.fit_multistart`."""
+"""Schema of the fits section: all options of `gbid.fit` and `gbid.fit_multistart`."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def _initial_state(value: Any) -> Any:
 
 
 class StructureOptions(Section):
-    """Choices of a built-in structure."""
+    """Options of a built-in structure."""
 
     delay: Literal["pade", "exact"] | None = None
     pade_order: Count | None = None
@@ -49,7 +49,7 @@ class StructureOptions(Section):
 
 
 class PriorSection(Section):
-    """What is known of a parameter beforehand: a normal distribution, in the parameter's unit."""
+    """Prior knowledge of a parameter: a normal distribution, in the unit of the parameter."""
 
     value: Number
     std: Positive
@@ -66,8 +66,8 @@ class MultiStartSection(Section):
 class FitSection(Section):
     """One fit of a structure, to each recording or to all together; see `gbid.fit`.
 
-    `left_out` holds, for recordings by name, stretches ``[from, to]`` in seconds from the first sample; a sample
-    at ``to`` counts again. `local` needs `together`.
+    `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
+    again. `local` needs `together`.
     """
 
     structure: Text

@@ -1,4 +1,4 @@
-"""Stage that fits: one model per recording, or one for all of them together."""
+"""Stage of the fits: one model per recording, or one for all recordings together."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _AS_THEY_ARE = (
 
 
 def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
-    """List the tasks of all fits, or of the one named."""
+    """Return the tasks of all fits, or of the one named."""
     tasks = []
     for name in job.experiment.spec.fits if only is None else [only]:
         for model, recordings in fit_models(job.experiment, name).items():
@@ -47,7 +47,7 @@ def fit_tasks(job: Job, only: str | None = None) -> list[Task]:
 
 
 def read_fit_summary(path: Path) -> Made:
-    """Read status and smallest fit of a result that is there.
+    """Return status and smallest fit percent of an existing result.
 
     Raises
     ------
@@ -60,17 +60,17 @@ def read_fit_summary(path: Path) -> Made:
 
 
 def fit_path(job: Job, name: str, model: str) -> Path:
-    """Path of a fit's result."""
+    """Return the path of a fit result."""
     return job.path(f"{FOLDER}/{name}", model)
 
 
 def load_made_fit(job: Job, name: str, model: str) -> FitResult:
-    """Read the result of a fit that was made from the present settings.
+    """Return the result of a fit that was made from the present settings.
 
     Raises
     ------
     DataError
-        When it is not there, or was made from other settings.
+        When the result is missing or was made from other settings.
     """
     recordings = recordings_of(job.experiment, name, model)
     path = fit_path(job, name, model)
@@ -79,7 +79,7 @@ def load_made_fit(job: Job, name: str, model: str) -> FitResult:
 
 
 def fit_entries(job: Job, name: str) -> list[TableEntry]:
-    """Rows of all models of a fit for `gbid.tabulate`, with the reason for those that are not there."""
+    """Return the rows of all models of a fit for `gbid.tabulate`; a missing model has its reason."""
     entries = []
     for model, recordings in fit_models(job.experiment, name).items():
         conditions = job.experiment.recordings[recordings[0]].conditions
@@ -92,7 +92,7 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
 
 
 def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
-    """Content key of a fit to recordings."""
+    """Return the content key of a fit to recordings."""
     section = experiment.spec.fits[name]
     settings = section.model_dump(exclude={"structure", "options", "recordings", "together"})
     settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
@@ -102,7 +102,7 @@ def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
 
 
 def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
-    """Keyword arguments of `gbid.fit` that a fit section gives for recordings."""
+    """Return the keyword arguments of `gbid.fit` for a fits section and recordings."""
     section = experiment.spec.fits[name]
     hold = section.intersample
     return {
@@ -122,12 +122,12 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
 
 
 def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, int]:
-    """First sample at or after a time, and first one at or after another.
+    """Return the first samples at or after two times [s], as (first, stop).
 
     Raises
     ------
     DataError
-        When no sample lies between them, or the end lies beyond the recording.
+        When no sample lies between the times, or the end lies beyond the recording.
     """
     first, stop = (math.ceil(t / recording.sample_time - 1e-6) for t in (from_s, to_s))
     if stop > recording.n_samples:
@@ -151,14 +151,14 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
     for recording in recordings_of(job.experiment, name, model):
         planned = job.experiment.recordings[recording]
         data.append(load_fit_input(job, planned))
-        # What was prefiltered was looked at then; here only whether its channels carry anything.
+        # The prefilter stage has checked prefiltered recordings already; only some kinds are checked here again.
         refuse_bad_signals(planned, data[-1], used, kinds=_OWN_KINDS if job.experiment.spec.prefilter else None)
     arguments = fit_arguments(job.experiment, name, data)
     if section.multi_start is None:
         result = fit(structure, data, progress=job.reporter.iteration, **arguments)
     else:
-        asked = section.multi_start.model_dump()
-        result = fit_multistart(structure, data, **asked, progress=job.reporter.iteration, **arguments).best
+        options = section.multi_start.model_dump()
+        result = fit_multistart(structure, data, **options, progress=job.reporter.iteration, **arguments).best
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))
 
@@ -168,12 +168,12 @@ def _smallest(percent: npt.NDArray[Any]) -> float:
 
 
 def model_key(experiment: Experiment, name: str, model: str) -> str:
-    """Content key of a model of a fit."""
+    """Return the content key of a model of a fit."""
     return fit_key(experiment, name, fit_models(experiment, name)[model])
 
 
 FIT = Stage("fit", "fits", (*FIT_CHECKS, *OPTION_CHECKS), fit_tasks, early=True)
 """``fits/<fit>/<recording>.h5``, or ``together.h5`` for a fit to all its recordings.
 
-A fit that does not converge is written, and its outcome says so.
+A fit that does not converge is written, too; its outcome reports that.
 """

@@ -1,4 +1,4 @@
-"""From the name of a structure in the YAML to the structure, and what the rig knows of its true values."""
+"""Structures of fits, built from their names and options in the YAML."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]
     "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
     "plant": (_plant, _OF_BEARING),
 }
-"""Structures that come with gbid: how each is built, and which options it has."""
+"""Structures that come with gbid: function that builds each, and its options."""
 
 
 def make_structure(experiment: Experiment, fit: str) -> Structure:
-    """Build the structure of a fit.
+    """Return the structure of a fit.
 
     Raises
     ------
     UsageError
-        For an unknown name, an option that the structure does not have, or a file that does not give one.
+        When the name or an option is unknown, or the file does not define a structure.
     """
     spec = experiment.spec.fits[fit]
     options = _given_options(spec.options)
@@ -68,7 +68,7 @@ def make_structure(experiment: Experiment, fit: str) -> Structure:
 
 
 def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
-    """Return what decides the structure, for its content key: name and options, or the text of its file."""
+    """Return the settings of a structure for its content key: name, options, and the digest of its file."""
     spec = experiment.spec.fits[fit]
     file = spec.structure.rpartition(":")[0]
     settings: dict[str, Any] = {"name": spec.structure, "options": _given_options(spec.options)}
@@ -83,7 +83,7 @@ def _given_options(options: StructureOptions) -> dict[str, Any]:
 
 
 def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
-    """Return the structure, None when another check complains of it."""
+    """Return the structure of a fit; None when another check reports it."""
     try:
         return make_structure(experiment, fit)
     except GbidError:
@@ -91,7 +91,7 @@ def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
 
 
 def output_labels(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
-    """Names of the output channels of a fit, as ``p_x``; empty when its first recording does not have them."""
+    """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
     labels: list[str] = []
     planned = experiment.fit_recordings(fit)
     for wanted in experiment.spec.fits[fit].outputs or structure.outputs:

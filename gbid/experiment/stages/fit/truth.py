@@ -1,4 +1,4 @@
-"""What the rig knows of the true values of a fit's parameters."""
+"""True values of the parameters of a fit, for recordings of the rig."""
 
 from __future__ import annotations
 
@@ -20,19 +20,23 @@ from gbid.structure import (
 
 
 def true_values(experiment: Experiment, recordings: Sequence[str], structure: Structure) -> dict[str, float]:
-    """Give the true values of a structure's parameters, if the recordings come from the rig at one operating point.
+    """Return the true values of the parameters of a structure.
+
+    They are known for recordings of the rig at one operating point and built-in structures.
 
     Parameters
     ----------
     experiment : Experiment
+        The experiment.
     recordings : sequence of str
         Names of the recordings of a fit.
     structure : Structure
+        Structure of the fit.
 
     Returns
     -------
     dict of str to float
-        Of the parameters that the rig knows; empty when there is no truth to compare with.
+        True values by parameter, in the units of the structure; empty when none are known.
     """
     planned = [experiment.recordings[name] for name in recordings]
     points = {tuple(sorted(q.conditions.items())) for q in planned}
@@ -43,7 +47,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: St
 
 
 def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> dict[str, float]:
-    """Give what is true of all these recordings: scatter moves each rotor, nonlinear stacks have no Table 2."""
+    """Return the true values that all recordings share; scatter changes them, and stacks have no linear parameters."""
     rig = experiment.spec.rig
     assert rig is not None
     known = true_parameters(rig_model(experiment), planned[0])
@@ -59,7 +63,7 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
 
 
 def true_model(structure: Structure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
-    """Return the structure at its true values, None when it has none; disturbance gains do not matter to it."""
+    """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
     values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
     if not truth or any(q.name not in values for q in structure.parameters):
         return None

@@ -1,1 +1,1 @@
-"""Hammer impacts on the rig, open and closed loop."""
+"""Hammer impacts on the rig, in open and closed loop."""

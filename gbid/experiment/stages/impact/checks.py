@@ -1,4 +1,4 @@
-"""What the impacts section means: there is a rig, its models hold at the operating points, the controller is there."""
+"""Checks of the impacts section: rig, operating points inside the domain, and controller exist."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from gbid.experiment.stages.impact.schema import ImpactPoint, ImpactsSection
 from gbid.experiment.stages.rig.model import rig_model
 
 LONGEST_IMPACT = 0.25
-"""Of the time between impacts; what follows is the ring-down."""
+"""Longest impact as a fraction of the time between impacts; the ring-down needs the remaining time."""
 
 
 def impacts_can_be_made(experiment: Experiment) -> Found:
-    """Impacts: rig, operating points inside the domain, impacts in sequence, a controller that can be loaded."""
+    """Yield problems of the rig, the operating points, the timing of impacts, and the controllers."""
     section = experiment.spec.impacts
     if section is None:
         return
     if experiment.spec.rig is None:
         yield (
             ("impacts",),
-            "needs the section rig, which is hit; add one (for recordings of your own use gbid.fit_ringdown)",
+            "needs the section rig; add one (for recordings of your own use gbid.fit_ringdown)",
         )
         return
     if section.impact_s > LONGEST_IMPACT * section.spacing_s:
@@ -47,7 +47,7 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
         for axis in section.axes:
             hammer_of(section, axis, experiment.spec.rig.sample_time_s)
     except GbidError:
-        return  # the rig section says so
+        return  # the checks of the rig section report this
     if section.model == "lpv" and experiment.spec.lpv is None:
         yield ("impacts", "model"), "there is no section 'lpv'; add one, or name a model"
     elif section.model not in (None, "lpv"):
@@ -74,10 +74,10 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
 
 
 def _controller_problems(experiment: Experiment, section: ImpactsSection, points: list[ImpactPoint]) -> Found:
-    """Each loop has a name of its own, and a controller that can be loaded or is to be tuned."""
+    """Yield a problem for each loop with a used name or without a controller."""
     taken = [loop for loop in section.beside if loop in LOOPS]
     for loop in taken:
-        yield ("impacts", "beside", loop), f"{loop!r} is the name of a loop that is there; choose another"
+        yield ("impacts", "beside", loop), f"the name {loop!r} is reserved; choose another"
     for loop, word in {"closed": section.controller, **section.beside}.items():
         if loop in taken:
             continue

@@ -1,4 +1,4 @@
-"""Which recordings with impacts an experiment has, what the rig does in them, and which controller runs."""
+"""Plan of the impacts: recordings, hammer, model of the expected modes, and controllers."""
 
 from __future__ import annotations
 
@@ -21,25 +21,26 @@ from gbid.structure import LinearModel
 from gbid.units import SIGNALS
 
 BEFORE_S = 0.2
-"""Time before the first impact, which shows what the disc does anyway."""
+"""Time before the first impact [s], which shows the motion of the disc without impact."""
 LOOPS = ("open", "closed")
-"""Names of the loops that need no further controller."""
+"""Names of the loops that every experiment may have."""
 TUNED = "controller"
-"""Folder of the results in which the tuning leaves its controller."""
+"""Folder of the tuned controllers in the results."""
 _GOLDEN = 0.6180339887
 
 
 @dataclass(frozen=True)
 class ImpactRecording:
-    """A recording with impacts to be made.
+    """Planned recording with impacts.
 
     Attributes
     ----------
     planned : PlannedRecording
-        As the rig takes it.
+        Recording of the rig.
     point : ImpactPoint
+        Operating point.
     loop, axis : str
-        The loop is open, closed, or a further one by its name.
+        Name of the loop (``"open"``, ``"closed"`` or that of a further loop), and axis of the impacts.
     """
 
     planned: PlannedRecording
@@ -50,13 +51,14 @@ class ImpactRecording:
 
 @dataclass(frozen=True, eq=False)
 class LoopController:
-    """A controller in both its forms.
+    """Controller in continuous and in discrete time.
 
     Attributes
     ----------
     continuous, sampled : LinearModel
+        The controller in continuous time, and as it runs at the sample time of the rig.
     key : str
-        What decides it, for content keys.
+        Digest of its source, for content keys.
     """
 
     continuous: LinearModel
@@ -65,31 +67,31 @@ class LoopController:
 
 
 def impacts_section(experiment: Experiment) -> ImpactsSection:
-    """Return the section.
+    """Return the impacts section.
 
     Raises
     ------
     UsageError
-        When there is none.
+        When the experiment has no such section.
     """
     if experiment.spec.impacts is None:
-        raise UsageError(f"{experiment.file.path}: no section 'impacts', so there is nothing to do; add one")
+        raise UsageError(f"{experiment.file.path}: no section 'impacts'; add one")
     return experiment.spec.impacts
 
 
 def study_name(point: ImpactPoint, loop: str) -> str:
-    """Name of the study of one operating point in one loop, ``p6_n0_open``."""
+    """Return the name of the study of one operating point in one loop, e.g. ``p6_n0_open``."""
     return f"p{point.pressure_bar:g}_n{point.speed_rpm:g}_{loop}"
 
 
 def loop_controllers(section: ImpactsSection) -> dict[str, str]:
-    """Return the word for the controller of each loop, in their order; empty for the open one."""
+    """Return the controller entry of each loop, in their order; empty for the open loop."""
     own = {loop: section.controller if loop == "closed" else "" for loop in section.loops}
     return own | dict(section.beside)
 
 
 def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
-    """List the recordings with impacts by name, ``p6_n0_open_x`` for example; none without a section."""
+    """Return the recordings with impacts by name, e.g. ``p6_n0_open_x``; empty without the section."""
     section = experiment.spec.impacts
     found: dict[str, ImpactRecording] = {}
     for i, point in enumerate(section.operating_points if section else ()):
@@ -106,7 +108,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
 
 
 def hammer_of(section: ImpactsSection, axis: str, sample_time: float) -> Hammer:
-    """Return the impacts of a recording; they fall anywhere between samples, as those of a real hammer do."""
+    """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
     times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
     impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
     samples = round((BEFORE_S + section.spacing_s * section.repeats) / sample_time)
@@ -114,12 +116,12 @@ def hammer_of(section: ImpactsSection, axis: str, sample_time: float) -> Hammer:
 
 
 def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
-    """Load the model that the modes are expected from, and what decides it, for content keys.
+    """Return the model that predicts the modes, and a text that identifies it in content keys.
 
     Raises
     ------
     UsageError
-        When it is not there, or knows no actuators.
+        When the model is missing or has no actuators.
     """
     section = impacts_section(experiment)
     if section.model is None:
@@ -130,7 +132,7 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
         assert experiment.spec.lpv is not None
         path = experiment.results / "lpv" / f"{experiment.spec.lpv.fit}.yaml"
         if not path.is_file():
-            raise UsageError(f"{path}: not there; `gbid lpv` makes it")
+            raise UsageError(f"{path}: file is missing; `gbid lpv` makes it")
     elif path.suffix in (".yaml", ".yml"):
         path = experiment.folder / path
     else:
@@ -139,12 +141,12 @@ def expecting_model(experiment: Experiment) -> tuple[LPVModel, str]:
 
 
 def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "closed") -> LoopController:
-    """Return the controller that runs in a loop at an operating point.
+    """Return the controller of a loop at an operating point.
 
     Raises
     ------
     UsageError
-        When there is none, its file is broken, or it is sampled at another time than the rig.
+        When there is none, its file is faulty, or its sample time is not that of the rig.
     """
     section, rig = impacts_section(experiment), experiment.spec.rig
     assert rig is not None
@@ -159,19 +161,19 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
     made: ControllerDesign = load_controller(path)
     if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
         raise UsageError(
-            f"{path}: sampled at {made.sample_time:g} s, the rig at {rig.sample_time_s:g} s; save it for that time"
+            f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"
         )
     at = (point.pressure_bar, point.speed_rpm)
     return LoopController(made.at(*at), made.sampled_at(*at), file_digest(path))
 
 
 def controller_path(experiment: Experiment, word: str) -> Path:
-    """Path of the controller file that a word other than ``paper`` means.
+    """Return the path of the controller file of an entry other than ``paper``.
 
     Raises
     ------
     UsageError
-        When it is not there.
+        When the file is missing.
     """
     if not is_tuned(word):
         path = experiment.folder / word
@@ -180,27 +182,27 @@ def controller_path(experiment: Experiment, word: str) -> Path:
         return path
     path = experiment.results / TUNED / f"{tuned_design(experiment, word)}.yaml"
     if not path.is_file():
-        raise UsageError(f"{path}: not there; `gbid tune` makes it")
+        raise UsageError(f"{path}: file is missing; `gbid tune` makes it")
     return path
 
 
 def is_tuned(word: str) -> bool:
-    """Whether a word means a controller that the tuning leaves."""
+    """Return whether a controller entry means a tuned design."""
     return word.partition(":")[0] == "tuned"
 
 
 def tuned_design(experiment: Experiment, word: str) -> str:
-    """Name of the design that is meant by ``tuned`` or ``tuned:NAME``.
+    """Return the name of the design that ``tuned`` or ``tuned:NAME`` means.
 
     Raises
     ------
     UsageError
-        When there is no such design, or several and none is named.
+        When there is no such design, or several and the entry names none.
     """
     designs = experiment.spec.controller
     name = word.partition(":")[2]
     if not designs:
-        raise UsageError("there is no section 'controller' whose design could be meant; add one")
+        raise UsageError("there is no section 'controller' with a design; add one")
     if name and name not in designs:
         raise UsageError(f"no design {name!r}; {nearest(name, designs)}")
     if not name and len(designs) > 1:

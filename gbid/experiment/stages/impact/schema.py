@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of hammer impacts on the rig, open and closed loop."""
+"""Schema of the impacts section: hammer impacts on the rig, in open and closed loop."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gbid.experiment.fields import Count, CountOrZero, Name, NotNegative, Positi
 
 
 class ImpactPoint(Section):
-    """Where the machine is hit."""
+    """Operating point at which the rotor is hit."""
 
     pressure_bar: Positive
     speed_rpm: NotNegative
@@ -19,11 +19,12 @@ class ImpactPoint(Section):
 class ImpactsSection(Section):
     """Hammer impacts with and without a controller (paper, Sec. 5.1); see `gbid.fit_ringdown`, `gbid.validate_impact`.
 
-    `controller`: ``paper`` is the one in the rig's model file, ``tuned`` the design of the
-    section controller (``tuned:NAME`` of several), else a controller file.
-    `beside`: further closed loops by name, each with a controller in the same words.
-    `model`: what the modes are expected from: a model's name or file, or ``lpv`` for the surfaces of this experiment;
-    the rig's own when left out. `repeats` is the number of impacts in a recording, `spacing_s` the time between them.
+    `controller`: ``paper`` is the controller in the model file of the rig, ``tuned`` the design of the
+    section controller (``tuned:NAME`` when there are several), else a controller file.
+    `beside`: further closed loops by name, each with a controller written in the same way.
+    `model`: model that predicts the modes: a name, a file, or ``lpv`` for the surfaces of this experiment;
+    the model of the rig when left out. `repeats` is the number of impacts in a recording, `spacing_s` the time between
+    them.
     """
 
     controller: Text = "paper"

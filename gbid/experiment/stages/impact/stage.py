@@ -1,4 +1,4 @@
-"""Stage of the impacts (paper, Sec. 5.1): hammer on the rig, open and closed loop, ring-downs, force scaling."""
+"""Stage of the impacts (paper, Sec. 5.1): hammer on the rig in open and closed loop, ring-downs, force scaling."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _ZEROING_S = 0.5
 
 
 def recording_tasks(job: Job) -> Work:
-    """List the recordings with impacts; a further loop whose controller is not there has failed.
+    """Return the tasks of the recordings with impacts; a further loop without controller is a failed outcome.
 
     Raises
     ------
     UsageError
-        When the model or the controller of the closed loop is not there.
+        When the model or the controller of the closed loop is missing.
     """
     if job.experiment.spec.impacts is None:
         return []
@@ -75,7 +75,7 @@ def _studies_of(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def study_tasks(job: Job) -> list[Task]:
-    """List the studies, one for each operating point and loop."""
+    """Return the tasks of the studies, one for each operating point and loop."""
     tasks = []
     for name, group in _studies(job.experiment).items():
         names = tuple(q.planned.name for q in group)
@@ -85,12 +85,12 @@ def study_tasks(job: Job) -> list[Task]:
 
 
 def loops_without_controller(experiment: Experiment) -> dict[str, str]:
-    """Give the further loops whose controller is not there or cannot be read, and why.
+    """Return the further loops whose controller is missing or cannot be read, with the reason.
 
     Raises
     ------
     UsageError
-        When there is no section ``impacts``.
+        When the experiment has no section ``impacts``.
     """
     section, found = impacts_section(experiment), {}
     for loop in section.beside:
@@ -103,12 +103,12 @@ def loops_without_controller(experiment: Experiment) -> dict[str, str]:
 
 
 def made_impacts(outcomes: Sequence[Outcome]) -> dict[str, ImpactStudy]:
-    """Load the studies that are there, by name."""
+    """Return the existing studies by name."""
     return {o.item: load_impacts(o.path) for o in outcomes if o.stage == "ringdown" and o.state != "failed"}
 
 
 def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
-    """Content key of a recording with impacts."""
+    """Return the content key of a recording with impacts."""
     section, rig = impacts_section(experiment), experiment.spec.rig
     assert rig is not None
     settings: dict[str, Any] = {
@@ -121,7 +121,7 @@ def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
 
 
 def study_key(experiment: Experiment, group: list[ImpactRecording]) -> str:
-    """Content key of a study."""
+    """Return the content key of a study."""
     section = impacts_section(experiment)
     settings = {
         "harmonics": section.harmonics,
@@ -168,7 +168,7 @@ def _write_recording(job: Job, name: str, part: Path) -> None:
 
 
 def _zero(machine: Machine, options: dict[str, Any]) -> FloatArray:
-    """Position that the controller takes for zero: the mean of a still run just before, at the same shaft angle."""
+    """Return the zero position of the controller [m]: the mean of a stationary run at the same shaft angle."""
     still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
     return np.asarray(still.signal("p").mean(axis=0))
 
@@ -198,7 +198,7 @@ def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
 
 def _made(study: ImpactStudy) -> Made:
     text = "; ".join([study.ringdown.status, *study.ringdown.notes])
-    # a loop may damp so well that nothing oscillates; that is an answer
+    # a loop may damp so well that nothing oscillates; this is a valid result
     return Made(
         text, study.ringdown.success or study.ringdown.aperiodic, min(v.along_percent for v in study.validations)
     )
@@ -232,4 +232,4 @@ def _write_csv(job: Job, item: str, part: Path) -> None:
 
 
 IMPACT = Stage("impact", "impacts", (impacts_can_be_made,), recording_tasks, (_studies_of, _csv_tasks))
-"""``impacts/<point>_<loop>.h5``, the recordings they are made from, ``impacts.csv`` and ``responses.csv``."""
+"""``impacts/<point>_<loop>.h5``, the recordings behind them, ``impacts.csv`` and ``responses.csv``."""

@@ -1,4 +1,4 @@
-"""What the import section means: its files are there, and its mappings make sense."""
+"""Checks of the import section: its files exist, and its mappings are valid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from gbid.recording.importers.formats import file_formats
 
 
 def data_can_be_read(experiment: Experiment) -> Found:
-    """Import: data files are there and the mappings make sense; what the files hold is looked at later."""
+    """Yield problems of data files and mappings; the contents of the files are checked later."""
     section = experiment.spec.imported
     if section is None:
         return
@@ -19,14 +19,14 @@ def data_can_be_read(experiment: Experiment) -> Found:
     if not folder.is_dir():
         yield ("import", "data_folder"), f"no folder {folder}; give it relative to the experiment file"
     yield from experiment.imports.problems
-    told: set[str] = set()
+    reported: set[str] = set()
     for found in experiment.imports.files:
         entry, here = found.entry, found.location
         path = data_file(experiment, entry)
         listed = "recordings" in here
-        if not listed and str(here) in told:
+        if not listed and str(here) in reported:
             continue  # all files of a folder share one mapping
-        told.add(str(here))
+        reported.add(str(here))
         here_file = (*here, "file") if listed else here
         if path.suffix.lower() not in file_formats():
             yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(file_formats())}"

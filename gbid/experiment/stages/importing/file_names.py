@@ -1,4 +1,4 @@
-"""File names that tell what is in the file, by patterns such as ``p{pressure_bar:g}_n{speed_rpm:d}_{kind}.mat``."""
+"""Patterns of file names with conditions, such as ``p{pressure_bar:g}_n{speed_rpm:d}_{kind}.mat``."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ _FORMS = {"g": _NUMBER, "d": r"[-+]?\d+", "": r"[^/]+?"}
 
 @dataclass(frozen=True)
 class NamePattern:
-    """A pattern of file names.
+    """Pattern of file names.
 
     Attributes
     ----------
     text : str
-        As it was written.
+        The pattern as written.
     fields : tuple of str
+        Names of the fields.
     numbers : tuple of str
-        Those of the fields that are numbers: conditions.
+        Names of the fields that are numbers; these are conditions.
     regex : re.Pattern
+        The pattern as a regular expression.
     """
 
     text: str
@@ -32,12 +34,17 @@ class NamePattern:
     regex: re.Pattern[str]
 
     def read(self, path: str) -> dict[str, str | float] | None:
-        """Fields of a file name, numbers as numbers; None when it does not fit.
+        """Return the fields of a file name; None when it does not match.
 
         Parameters
         ----------
         path : str
-            Relative, with ``/``.
+            Relative path, with ``/``.
+
+        Returns
+        -------
+        dict of str to str or float
+            Values by field.
         """
         match = self.regex.fullmatch(path)
         if match is None:
@@ -47,12 +54,12 @@ class NamePattern:
 
 
 def name_pattern(text: str) -> NamePattern:
-    """Read a pattern.
+    """Return the pattern of a text.
 
     Raises
     ------
     UsageError
-        When a field has no name, an unknown form, or is there twice; when a brace stands alone.
+        When a field has no name, an unknown form, or occurs twice, or when a brace has no partner.
     """
     parts, fields, numbers, end = [], [], [], 0
     for match in _FIELD.finditer(text):
@@ -64,7 +71,7 @@ def name_pattern(text: str) -> NamePattern:
         if form not in _FORMS:
             raise UsageError(f"{text!r}: {match[0]}: unknown form {form!r}; write :g for a number, :d for a whole one")
         if name in fields:
-            raise UsageError(f"{text!r}: field {name!r} is there twice; rename or remove one")
+            raise UsageError(f"{text!r}: field {name!r} occurs twice; rename or remove one")
         if form and name in ("name", "kind"):
             raise UsageError(f"{text!r}: {name} is a word, not a number; write {{{name}}}")
         if not form and name in ("pressure_bar", "speed_rpm"):
@@ -79,5 +86,5 @@ def name_pattern(text: str) -> NamePattern:
 
 def _literal(text: str, part: str) -> str:
     if "{" in part or "}" in part:
-        raise UsageError(f"{text!r}: a brace stands alone; write fields as {{name}}")
+        raise UsageError(f"{text!r}: a brace has no partner; write fields as {{name}}")
     return re.escape(part)

@@ -1,4 +1,4 @@
-"""From a folder or a table of files to the recordings that an import section lists one by one."""
+"""Entries of the import section for the files of a folder or the rows of a table."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from gbid.experiment.stages.importing.schema import (
 from gbid.recording.importers.formats import file_formats
 
 POINT = ("pressure_bar", "speed_rpm")
-_NAMED = 5  # files that fit no pattern and are named; of more, the number
+_NAMED = 5  # largest number of files without match that are listed
 
 
 @dataclass(frozen=True)
 class FoundFile:
-    """A recording to be imported, and where the YAML asks for it."""
+    """Recording to import, and the location of its entry in the YAML."""
 
     entry: ImportedSection
     location: Location
@@ -37,12 +37,14 @@ class FoundFile:
 
 @dataclass(frozen=True)
 class FoundFiles:
-    """All recordings of an import section, and what is wrong with its folder or table.
+    """Recordings of an import section, and the problems of its folder or table.
 
     Attributes
     ----------
     files : tuple of FoundFile
+        Recordings to import.
     problems : tuple of (location, text)
+        Location in the YAML and text of each problem.
     """
 
     files: tuple[FoundFile, ...]
@@ -50,13 +52,19 @@ class FoundFiles:
 
 
 def find_files(section: ImportSection, base: Path) -> FoundFiles:
-    """List the recordings of an import section: the ones listed first, then those of the folder and of the table.
+    """Return the recordings of an import section: those listed first, then those of the folder and of the table.
 
     Parameters
     ----------
     section : ImportSection
+        The section.
     base : pathlib.Path
         Folder of the experiment file.
+
+    Returns
+    -------
+    FoundFiles
+        Recordings and problems.
     """
     files = [FoundFile(entry, ("import", "recordings", i)) for i, entry in enumerate(section.recordings or ())]
     problems: list[tuple[Location, str]] = []
@@ -87,18 +95,18 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
 
 
 def _by_count(name: str) -> list[tuple[int, str]]:
-    """Sort key that puts run2 before run10."""
+    """Return a sort key that puts run2 before run10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def _distinct(section: ImportSection, location: Location) -> str:
     if section.table is not None and "table" in location:
         return f"give each row of {section.table.file} a name of its own"
-    return "without {name} in the pattern a recording is named as its file"
+    return "without {name} in the pattern a recording has the name of its file"
 
 
 def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterator[ImportedSection | str]:
-    """Give recordings whose file names fit, and problems as text."""
+    """Yield a recording for each file whose name matches, and a text for each problem."""
     try:
         pattern = name_pattern(section.pattern)
     except UsageError as error:
@@ -123,29 +131,29 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         (p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in file_formats()), key=_by_count
     )
     seen = [name for name in there if not any(fnmatchcase(name, p) for p in section.ignore or ()) and name not in skip]
-    strangers = []
+    unmatched = []
     matched = 0
     for file in seen:
         fields = pattern.read(file)
         if fields is None:
-            strangers.append(file)
+            unmatched.append(file)
             continue
         matched += 1
         conditions = {name: float(fields[name]) for name in pattern.numbers if name in (*POINT, *more)}
         name = str(fields.get("name", Path(file).stem))
         yield _entry(section, file, name, str(fields["kind"]) if "kind" in fields else None, conditions)
     if not matched:
-        example = f"; there is {', '.join(strangers[:_NAMED])}" if strangers else f"; {folder} has no such files"
+        example = f"; there is {', '.join(unmatched[:_NAMED])}" if unmatched else f"; {folder} has no such files"
         yield f"no file matches {section.pattern!r}{example}: correct the pattern or data_folder"
-    elif strangers:
-        for file in strangers[:_NAMED]:
+    elif unmatched:
+        for file in unmatched[:_NAMED]:
             yield f"file {file} does not match {section.pattern!r}; rename it, or add it to ignore"
-        if len(strangers) > _NAMED:
-            yield f"{len(strangers) - _NAMED} more files do not match {section.pattern!r}"
+        if len(unmatched) > _NAMED:
+            yield f"{len(unmatched) - _NAMED} more files do not match {section.pattern!r}"
 
 
 def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection | str]:
-    """Give recordings of the rows of a table, and problems as text."""
+    """Yield a recording for each row of a table, and a text for each problem."""
     path = folder / section.file
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
@@ -212,7 +220,7 @@ def _missing_point(section: FolderSection, there: tuple[str, ...]) -> str:
 def _entry(
     section: FolderSection | TableSection, file: str, name: str, word: str | None, conditions: dict[str, float]
 ) -> ImportedSection | str:
-    """Build the entry of one file, or say why there is none."""
+    """Return the entry of one file, or a text with the reason why there is none."""
     if word is not None and word not in section.kinds:
         return f"file {file}: unknown kind {word!r}; {nearest(word, section.kinds)}; add it to kinds"
     common: dict[str, Any] = {key: getattr(section, key) for key in FileSection.model_fields}

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of recordings from files of one's own: one by one, by file name, or by table."""
+"""Schema of the import section: recordings listed one by one, found by file name, or listed in a table."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ KINDS: dict[str, Kind] = {
     "still": "stationary",
     "staircase": "staircase",
 }
-"""Words for the kind of a recording, in file names and tables."""
+"""Words for the kind of a recording in file names and tables."""
 
 
 class ColumnsSection(Section):
-    """Where one signal stands in a file; see `gbid.recording.SignalMapping`.
+    """Columns of one signal in a file; see `gbid.recording.SignalMapping`.
 
-    `rests_at_limits` says that the signal stays at its largest or smallest value by design, as an input may, so
-    that it is not taken for saturated.
+    `rests_at_limits`: the signal stays at its largest or smallest value by design, as an input may. It is then not
+    reported as saturated.
     """
 
     columns: Names
@@ -34,9 +34,9 @@ class ColumnsSection(Section):
 
 
 class FileSection(Section):
-    """How a file is read; see `gbid.recording.ImportMapping`.
+    """Mapping of a file; see `gbid.recording.ImportMapping`.
 
-    `remove_mean` takes the mean of each signal off the samples that are kept; a linear model has no offset.
+    `remove_mean` subtracts the mean of each signal over the samples used; a linear model has no offset.
     """
 
     sample_time_s: Positive | None = None
@@ -51,7 +51,7 @@ class FileSection(Section):
 class ImportedSection(FileSection):
     """One recording from a file; see `gbid.recording.ImportMapping`.
 
-    `remove_mean` takes the mean of each signal off the samples that are kept; a linear model has no offset.
+    `remove_mean` subtracts the mean of each signal over the samples used; a linear model has no offset.
     """
 
     name: Name
@@ -60,13 +60,13 @@ class ImportedSection(FileSection):
 
 
 class FolderSection(FileSection):
-    """All files of the data folder whose names fit a pattern; see `gbid.recording.ImportMapping`.
+    """All files of the data folder whose names match a pattern; see `gbid.recording.ImportMapping`.
 
-    `pattern` is a file name with fields: ``{name}`` and ``{kind}``, ``{pressure_bar:g}`` (a number) and
-    ``{speed_rpm:d}`` (a whole number), and any other word for a part that does not matter. A ``/`` in it looks into
-    subfolders. `more_conditions` names further fields to keep as conditions. `kinds` says what the words of
-    ``{kind}`` mean, `kind` what a recording is without that field. `ignore` names files, with ``*`` and ``?``, that
-    do not belong to the experiment. `operating_point` may be false for rigs without pressure and speed.
+    `pattern` is a file name with fields: ``{name}`` and ``{kind}``, ``{pressure_bar:g}`` (a number),
+    ``{speed_rpm:d}`` (a whole number), and any other word for a part that is ignored. With a ``/`` in it, subfolders
+    are searched. `more_conditions` names further fields to store as conditions. `kinds` gives the meaning of the words
+    of ``{kind}``, `kind` that of a recording without this field. `ignore` lists patterns of files, with ``*`` and
+    ``?``, that do not belong to the experiment. `operating_point` may be false for rigs without pressure and speed.
     """
 
     pattern: Text
@@ -80,9 +80,9 @@ class FolderSection(FileSection):
 class TableSection(FileSection):
     """Recordings listed in a CSV table in the data folder; see `gbid.recording.ImportMapping`.
 
-    A row for each, with the columns ``file``, ``pressure_bar``, ``speed_rpm`` and, where wanted, ``name`` and ``kind``.
-    `more_conditions` names further columns to keep as conditions. `operating_point` may be false for rigs without
-    pressure and speed.
+    Each recording has a row with the columns ``file``, ``pressure_bar``, ``speed_rpm``, and optionally ``name`` and
+    ``kind``. `more_conditions` names further columns to store as conditions. `operating_point` may be false for rigs
+    without pressure and speed.
     """
 
     file: Text
@@ -93,7 +93,7 @@ class TableSection(FileSection):
 
 
 class ImportSection(Section):
-    """Recordings from files of one's own: listed one by one, found by their names, or listed in a table."""
+    """Recordings from measured files: listed one by one, found by file name, or listed in a table."""
 
     data_folder: Text = "."
     recordings: Annotated[tuple[ImportedSection, ...], Field(min_length=1)] | None = None

@@ -24,7 +24,7 @@ from gbid.recording import (
 
 
 def import_tasks(job: Job) -> list[Task]:
-    """List the tasks of the import section, one for each recording."""
+    """Return the tasks of the import section, one for each recording."""
     return [
         recording_task(job, "import", planned, _write_import)
         for planned in job.experiment.recordings.values()
@@ -33,15 +33,15 @@ def import_tasks(job: Job) -> list[Task]:
 
 
 def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
-    """Read one recording from its file and refuse it when a signal that a fit uses carries nothing.
+    """Return one recording from its file; refuse it when a signal that a fit uses is faulty.
 
     Raises
     ------
     DataError
-        When the file does not hold what the mapping says, an earlier recording holds the same samples, or something is
-        wrong with a signal that a fit uses.
+        When the file does not contain the mapped columns, when an earlier recording contains the same samples, or when
+        a signal that a fit uses is faulty.
     UsageError
-        When units do not fit.
+        When a unit does not suit its signal.
     """
     assert planned.imported is not None
     file = data_file(experiment, planned.imported)
@@ -56,11 +56,12 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
 
 
 def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording, str, int]]:
-    """Read all recordings of the import section and tell what is wrong with each, alone and beside the others.
+    """Return the problems of all imported recordings, each alone and compared with the others.
 
     Returns
     -------
     list of (PlannedRecording, text, exit code)
+        Recording, text and exit code of each problem.
     """
     found: list[tuple[PlannedRecording, str, int]] = []
 
@@ -79,12 +80,12 @@ def find_import_problems(experiment: Experiment) -> list[tuple[PlannedRecording,
 
 
 def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> None:
-    """Refuse a recording that takes the same columns and samples from the same or a copied file as one before it.
+    """Refuse a recording with the same samples as an earlier one, from the same file or a copy of it.
 
     Raises
     ------
     DataError
-        Naming the other recording.
+        Its text names the other recording.
     """
     mine = _content(experiment, planned)
     for other in experiment.recordings.values():
@@ -98,7 +99,7 @@ def refuse_same_content(experiment: Experiment, planned: PlannedRecording) -> No
 
 
 def _content(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Digest of what a recording takes from its file, empty when the file cannot be read."""
+    """Return a digest of the samples that a recording takes from its file."""
     assert planned.imported is not None
     columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
     taken = {"samples": planned.imported.samples, "signals": columns}

@@ -1,1 +1,1 @@
-"""Surfaces over pressure and speed through the fits."""
+"""Surfaces over pressure and speed, fitted to the key parameters of the fits."""

@@ -1,4 +1,4 @@
-"""Checks of the surfaces of an experiment."""
+"""Checks of the lpv section."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbid.structure import KEY_PARAMETERS
 
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
-    """Surfaces: the fit exists and has the key parameters, and its operating points carry the order."""
+    """Yield problems of the lpv section: fit, key parameters, actuators, and operating points for the order."""
     section = experiment.spec.lpv
     if section is None:
         return
@@ -38,7 +38,7 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     for planned in experiment.fit_recordings(section.fit):
         point = [planned.conditions.get(key) for key in ("pressure_bar", "speed_rpm")]
         if None in point:
-            yield where, f"recording {planned.name!r} states no pressure_bar and speed_rpm; surfaces need both"
+            yield where, f"recording {planned.name!r} has no pressure_bar and speed_rpm; surfaces need both"
             return
         points.append([float(v) for v in point if v is not None])
     if points and section.order != "auto":

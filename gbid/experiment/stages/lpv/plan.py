@@ -1,4 +1,4 @@
-"""Which actuators the surfaces of an experiment carry."""
+"""Actuator parameters of the surfaces."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from gbid.lpv import load_model
 
 
 def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, float] | None:
-    """Give the actuators that surfaces are to carry: those of a model; None when they are still to be chosen.
+    """Return the actuator parameters for the surfaces; None when the nominal stage will choose them.
 
     Raises
     ------
     UsageError
-        When they are to be the nominal ones and no section chooses these; for a model that is not there, or knows none.
+        When the nominal actuators are wanted without a section nominal, or the model is missing or has no actuators.
     """
     wanted = section.actuators
     if wanted is None:
@@ -29,5 +29,5 @@ def lpv_actuators(experiment: Experiment, section: LpvSection) -> dict[str, floa
     except UsageError as error:
         raise UsageError(f"expected nominal, or a model or its file; {error}") from None
     if not found:
-        raise UsageError(f"model {wanted!r} knows no actuators; name another, or write nominal")
+        raise UsageError(f"model {wanted!r} has no actuators; name another, or write nominal")
     return dict(found)

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of the surfaces over pressure and speed."""
+"""Schema of the lpv section."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Term = Literal["1", "P", "Omega", "Omega P", "P^2", "Omega^2"]
 
 
 def _order(value: Any) -> Any:
-    """Refuse in one line what none of the three ways of writing it allows."""
+    """Return the order; refuse any other value with one message for all three forms."""
     terms = get_args(Term)
     listed = isinstance(value, list | tuple) and value and all(term in terms for term in value)
     if not listed and value != "auto" and (type(value) is not int or value not in (0, 1, 2)):
@@ -22,10 +22,10 @@ def _order(value: Any) -> Any:
 
 
 class LpvSection(Section):
-    """Surfaces through the key parameters of a fit to each recording (paper, Eq. 16); see `gbid.fit_lpv`.
+    """Surfaces of the key parameters of a fit to each recording (paper, Eq. 16); see `gbid.fit_lpv`.
 
-    `actuators`: the word ``nominal`` (of the section of that name), or a model's name or file; none when left out.
-    `direct`: whether all surfaces are also estimated straight from the recordings; see `gbid.fit_lpv_direct`.
+    `actuators`: the word ``nominal`` (choice of the section nominal), or the name or file of a model; default none.
+    `direct`: whether the surfaces are also estimated directly from the recordings; see `gbid.fit_lpv_direct`.
     """
 
     fit: Name

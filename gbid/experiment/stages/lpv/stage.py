@@ -1,4 +1,4 @@
-"""Stage that draws the surfaces over pressure and speed (paper, Sec. 4)."""
+"""Stage of the surfaces over pressure and speed (paper, Sec. 4)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from gbid.lpv.surface_fit.lpv_fit_store import KIND, write_uncertainty
 
 FOLDER = "lpv"
 _UNCERTAINTY = " uncertainty"
-_MODEL = "model_file"  # attribute with the text of the model's YAML, so that the surfaces are made once for both files
+_MODEL = "model_file"  # attribute with the model's YAML: the surfaces are then computed once for both files
 
 
 def lpv_tasks(job: Job) -> Work:
-    """List the task of the lpv section; the model and the direct LPV fit follow."""
+    """Return the task of the lpv section; the model and the direct LPV fit follow."""
     section = job.experiment.spec.lpv
     if section is None:
         return []
@@ -37,7 +37,7 @@ def lpv_tasks(job: Job) -> Work:
 
 
 def _model_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """List the task of the model; a model is there only with its uncertainty."""
+    """Return the task of the model; a model is written only after its uncertainty."""
     last = made[-1] if made else None
     if last is None or last.state == "failed" or last.path.suffix != ".h5":
         return []
@@ -58,7 +58,7 @@ def _uncertainty_task(job: Job, item: str) -> Task:
 
 
 def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
-    """Load the surfaces that are there, by item; the two-step ones first."""
+    """Return the existing surfaces by item; the two-step ones first."""
     return {
         o.item: load_lpv_fit(o.path)
         for o in outcomes
@@ -67,7 +67,7 @@ def made_surfaces(outcomes: Sequence[Outcome]) -> dict[str, LPVFit]:
 
 
 def read_surfaces(job: Job) -> dict[str, LPVFit]:
-    """Read the surfaces that are there, made from the present fits, by item; empty when there are none."""
+    """Return the surfaces made from the present fits, by item; empty when there are none."""
     section = job.experiment.spec.lpv
     if section is None:
         return {}
@@ -106,7 +106,7 @@ def _read_status(path: Path) -> Made:
 
 
 LPV = Stage("lpv", "lpv", (surfaces_can_be_drawn,), lpv_tasks, (_model_tasks, _direct_tasks, _model_tasks))
-"""``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` where the direct LPV fit is asked for.
+"""``lpv/<fit>.yaml`` and ``.h5``, and ``lpv/<fit>_direct.*`` when the direct LPV fit is wanted.
 
-A model is an outcome of its own beside its uncertainty.
+A model and its uncertainty are separate outcomes.
 """

@@ -1,4 +1,4 @@
-"""Surfaces of an experiment as `gbid.fit_lpv` makes them from its fits."""
+"""Surfaces of an experiment, made by `gbid.fit_lpv` from its fits."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from gbid.structure import Plant, RotorBearing
 from gbid.validate.validation_store import load_actuators
 
 DIRECT = "_direct"
-"""What the name of the direct LPV fit adds to that of the fit."""
+"""Suffix of the name of the direct LPV fit."""
 
 
 class Surfaces:
-    """Surfaces of one job, each made when it is first needed.
+    """Surfaces of one job; each is made at its first use.
 
     Parameters
     ----------
     job : Job
+        The job.
 
     Raises
     ------
     UsageError
-        When there is no section ``lpv``.
+        When the experiment has no section ``lpv``.
     """
 
     def __init__(self, job: Job) -> None:
@@ -44,14 +45,14 @@ class Surfaces:
 
     @cached_property
     def key(self) -> str:
-        """Content key: the section, the fits that are there, and the actuators."""
+        """Content key of the section, the existing fits, and the actuators."""
         there = [entry.model for entry in self._entries if entry.result is not None]
         keys = [model_key(self._job.experiment, self._section.fit, model) for model in there]
         settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
         return content_key("lpv", settings, keys)
 
     def make(self, item: str) -> LPVFit:
-        """Make the surfaces of one item: those of the fit, or of its direct LPV fit."""
+        """Return the surfaces of one item: those of the fit, or of its direct LPV fit."""
         return self._two_step if item == self._section.fit else self._direct()
 
     @cached_property
@@ -60,10 +61,10 @@ class Surfaces:
 
     @cached_property
     def _two_step(self) -> LPVFit:
-        """Surfaces through the estimates of the fits."""
+        """Surfaces fitted to the estimates of the fits."""
         section, experiment = self._section, self._job.experiment
         if all(entry.result is None for entry in self._entries):
-            raise InputError(f"no fit {section.fit!r} is there; run `gbid fit` or `gbid run` first")
+            raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
         return fit_lpv(
             tabulate(self._entries),
             weighting=section.weighting,
@@ -77,7 +78,7 @@ class Surfaces:
         )
 
     def _direct(self) -> LPVFit:
-        """Surfaces straight from the recordings."""
+        """Return the surfaces estimated directly from the recordings."""
         experiment, name = self._job.experiment, self._section.fit
         spec = experiment.spec.fits[name]
         recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]

@@ -1,1 +1,1 @@
-"""The nominal actuator: the most central of many models."""
+"""Nominal actuator: the most central of many models."""

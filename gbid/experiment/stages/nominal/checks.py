@@ -1,4 +1,4 @@
-"""What the nominal section means: its fit is one of actuators."""
+"""Checks of the nominal section."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gbid.validate.central import ACTUATOR
 
 
 def nominal_is_an_actuator(experiment: Experiment) -> Found:
-    """Nominal: its fit exists, has its parameters, and gives several models."""
+    """Yield problems of the nominal section: its fit must exist, have the parameters, and give several models."""
     section = experiment.spec.nominal
     if section is None:
         return

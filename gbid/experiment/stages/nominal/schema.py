@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of the nominal actuator."""
+"""Schema of the nominal section."""
 
 from __future__ import annotations
 

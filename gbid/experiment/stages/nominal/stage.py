@@ -1,4 +1,4 @@
-"""Stage that chooses the nominal actuator (paper, Sec. 3.7)."""
+"""Stage of the nominal actuator (paper, Sec. 3.7)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ FOLDER = "nominal"
 
 
 def nominal_tasks(job: Job) -> Work:
-    """List the task of the nominal section; it has failed when none of the fits can be chosen from."""
+    """Return the task of the nominal section; a failed outcome when no fit has a result."""
     section = job.experiment.spec.nominal
     if section is None:
         return []
@@ -31,12 +31,12 @@ def nominal_tasks(job: Job) -> Work:
 
 
 def nominal_of(job: Job) -> tuple[NominalActuator, str]:
-    """Return the most central model of the fit that the nominal section names, and the content key of the choice.
+    """Return the most central model of the fit in the nominal section, and the content key of the choice.
 
     Raises
     ------
     DataError
-        Without that section, or when there is none.
+        When the section is missing, or when its fit has no models.
     """
     section = job.experiment.spec.nominal
     if section is None:
@@ -55,4 +55,4 @@ def _write(job: Job, fit: str, part: Path) -> Made:
 
 
 NOMINAL = Stage("nominal", "nominal", (nominal_is_an_actuator,), nominal_tasks)
-"""``nominal/<fit>.yaml`` with the most central model of the fit that the section names."""
+"""``nominal/<fit>.yaml`` with the most central model of the fit in the nominal section."""

@@ -1,1 +1,1 @@
-"""Prefilter: run-out, offset and spikes are taken out of the recordings."""
+"""Prefilter: it removes run-out, offset and spikes from the recordings."""

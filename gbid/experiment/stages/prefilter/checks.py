@@ -1,4 +1,4 @@
-"""What the prefilter section means: run-out maps can be made."""
+"""Checks of the prefilter section."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from gbid.experiment.problems import Found
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
-    """Each operating point that is prefiltered has a stationary run, with position and angle."""
+    """Yield a problem for each operating point without a stationary recording, position or angle."""
     section = experiment.spec.prefilter
     if section is None:
         return
@@ -20,10 +20,10 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
     if section.method == "none":
         return
     still = {q.point for q in experiment.recordings.values() if q.stationary}
-    told: set[str] = set()
+    reported: set[str] = set()
     for planned in experiment.recordings.values():
-        if planned.excited and planned.point not in still | told:
-            told.add(planned.point)
+        if planned.excited and planned.point not in still | reported:
+            reported.add(planned.point)
             yield (
                 ("prefilter",),
                 f"no stationary recording at {planned.point} (as {planned.name!r}), so no run-out map; "

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of the prefilter."""
+"""Schema of the prefilter section."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from gbid.experiment.fields import Count, Section, Switch
 
 
 class PrefilterSection(Section):
-    """What is taken out of the excited recordings before the fits (paper, Sec. 3.5)."""
+    """Corrections of the excited recordings before the fits (paper, Sec. 3.5)."""
 
     method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
     align_index: Switch = False

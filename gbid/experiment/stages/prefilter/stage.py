@@ -1,4 +1,4 @@
-"""Stage that prefilters (paper, Sec. 3.5): one run-out map per operating point, from its stationary runs."""
+"""Stage of the prefilter (paper, Sec. 3.5): one run-out map per operating point, from its stationary recordings."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from gbid.recording import Recording, save_recording
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
 INDEX_OFF = np.deg2rad(10.0)
-"""Angle that a recording's run-out may be turned from the map's [rad] ..."""
+"""Smallest rotation of a recording's run-out against the map that shows a missed index [rad]."""
 SURE = 5.0
-"""... and standard deviations of it, before the index counts as missed."""
+"""Smallest such rotation in standard deviations of its estimate."""
 
 
 def prefilter_tasks(job: Job) -> list[Task]:
-    """List the tasks of the prefilter section, one for each excited recording."""
+    """Return the tasks of the prefilter section, one for each excited recording."""
     if job.experiment.spec.prefilter is None:
         return []
     tasks = []
@@ -46,7 +46,7 @@ def prefilter_tasks(job: Job) -> list[Task]:
 
 
 def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
-    """List the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
+    """Return the tasks that store maps and reports, one for each operating point; they follow the prefilter tasks."""
     without = {outcome.item for outcome in made if outcome.state == "failed"}
     section = job.experiment.spec.prefilter
     if section is None:
@@ -63,7 +63,7 @@ def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Content key of a prefiltered recording."""
+    """Return the content key of a prefiltered recording."""
     section = experiment.spec.prefilter
     assert section is not None
     sources = [recording_key(experiment, planned), *_stationary_keys(experiment, planned.point)]
@@ -71,19 +71,19 @@ def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
 
 
 def fit_input_key(experiment: Experiment, planned: PlannedRecording) -> str:
-    """Content key of the recording that fits use: prefiltered when the experiment prefilters."""
+    """Return the content key of a recording as fits use it, prefiltered if the experiment has a prefilter."""
     if experiment.spec.prefilter is None:
         return recording_key(experiment, planned)
     return prefiltered_key(experiment, planned)
 
 
 def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
-    """Read the recording that fits use.
+    """Return a recording as fits use it.
 
     Raises
     ------
     DataError
-        When it is not there, or was made from other settings.
+        When the recording is missing or was made from other settings.
     """
     if job.experiment.spec.prefilter is None:
         return load_made(job, planned)
@@ -114,16 +114,16 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
 
 
 def _refuse_lost_index(runout_map: RunoutMap, raw: Recording) -> None:
-    """Refuse a recording whose run-out is the map's, but turned: the map would add to it what it is to take out."""
+    """Refuse a recording whose run-out is that of the map but rotated; the map would then add run-out."""
     try:
         found = align_index(runout_map, raw)
     except DataError:
-        return  # too short to tell
+        return  # too short for an estimate of the rotation
     off = abs(np.angle(np.exp(1j * found.offset)))
     if found.sure and off > max(INDEX_OFF, SURE * found.std):
         raise DataError(
-            f"recording {raw.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but turned by "
-            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not count from the "
+            f"recording {raw.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but rotated by "
+            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not start at the "
             "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
         )
 
@@ -142,7 +142,7 @@ def _write_map(job: Job, item: str, part: Path) -> Made:
 
 @lru_cache(maxsize=64)
 def _runout_map(job: Job, point: str) -> RunoutMap | None:
-    """Identify the map of an operating point: for its recordings, and once more when they are done."""
+    """Return the run-out map of an operating point; cached, because its recordings and the report use it."""
     section = job.experiment.spec.prefilter
     assert section is not None
     if section.method == "none":
@@ -159,18 +159,18 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
 
 
 def _identified(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
-    """Identify a map by the method asked for, and say what was chosen."""
+    """Return the map by the method of the section, and a note on the choice of method auto."""
     if section.method != "auto":
         return identify_runout(still, method=section.method, harmonics=section.harmonics, bins=section.bins), ()
     compared = compare_runout(still)
     chosen = compared.chosen
     left = ", ".join(f"{1e9 * rms:.1f}" for rms in chosen.residual_rms)
     size = "" if chosen.method == "mean" else f", {chosen.size}"
-    return compared.runout_map, (f"method auto: {chosen.method}{size}; it leaves {left} nm of what was held out",)
+    return compared.runout_map, (f"method auto: {chosen.method}{size}; rms residual on test data {left} nm",)
 
 
 def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
-    """Excited recordings by operating point."""
+    """Return the excited recordings by operating point."""
     excited = {point: [q for q in there if q.excited] for point, there in experiment.points.items()}
     return {point: there for point, there in excited.items() if there}
 

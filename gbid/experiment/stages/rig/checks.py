@@ -1,4 +1,4 @@
-"""What the rig section means: its model holds at the operating points, and the rig takes every value."""
+"""Checks of the rig section."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbid.rig.excitation.prbs import whole_samples
 
 
 def rig_runs(experiment: Experiment) -> Found:
-    """Rig: its model loads and holds at each operating point; times are whole samples."""
+    """Yield problems of the rig's model, its operating points, and times that are not whole samples."""
     rig = experiment.spec.rig
     if rig is None:
         return
@@ -42,20 +42,20 @@ def rig_runs(experiment: Experiment) -> Found:
             whole_samples(str(location[-1]), seconds, rig.sample_time_s)
         except UsageError as error:
             yield location, str(error)
-    told: set[str] = set()
+    reported: set[str] = set()
     for planned in experiment.recordings.values():
         if inside and planned.imported is None:
             try:
                 machine_at(experiment, planned, model).rotor_bearing.check_stable()
                 rig_experiment(experiment, planned)
             except UsageError as error:
-                if str(error) not in told:
+                if str(error) not in reported:
                     yield ("rig",), str(error)
-                told.add(str(error))
+                reported.add(str(error))
 
 
 def faults_name_recordings(experiment: Experiment) -> Found:
-    """Rig: faults are for recordings that are made, and say what is wrong."""
+    """Yield a problem for each entry of faults without recordings or with a wrong value."""
     rig = experiment.spec.rig
     for i, entry in enumerate(rig.faults if rig else ()):
         here: Location = ("rig", "faults", i)
@@ -70,7 +70,7 @@ def faults_name_recordings(experiment: Experiment) -> Found:
 
 
 def stacks_are_there(experiment: Experiment) -> Found:
-    """Rig: what is asked of single stacks needs stacks."""
+    """Yield a problem for each key that needs single stacks when the rig has none."""
     rig = experiment.spec.rig
     if rig is None or rig.actuators.kind == "stacks":
         return
@@ -81,7 +81,7 @@ def stacks_are_there(experiment: Experiment) -> Found:
 
 
 def staircases_are_somewhere(experiment: Experiment) -> Found:
-    """Rig: staircases that are for some operating points name such that are there."""
+    """Yield a problem for each staircase at a point that is not an operating point of the rig."""
     rig = experiment.spec.rig
     there = [(q.pressure_bar, q.speed_rpm) for q in rig.operating_points] if rig else []
     for part in ("staircase", "stack_staircase"):
@@ -93,7 +93,7 @@ def staircases_are_somewhere(experiment: Experiment) -> Found:
 
 
 def sizes_fit_the_clearance(experiment: Experiment) -> Found:
-    """Rig: no movement or noise is larger than the clearance, which a forgotten 1e-6 makes it."""
+    """Yield a problem for each size above the clearance; usually the factor 1e-6 was forgotten."""
     rig = experiment.spec.rig
     for location in _SIZES if rig else ():
         part, key = location
@@ -121,7 +121,7 @@ _SIZES = (
 
 
 def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
-    """List the times that must be whole numbers of samples."""
+    """Yield the times that must be whole numbers of samples."""
     yield ("rig", "duration_s"), rig.duration_s
     if rig.settle_s:
         yield ("rig", "settle_s"), rig.settle_s

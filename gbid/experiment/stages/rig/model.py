@@ -1,4 +1,4 @@
-"""The model behind the rig, and what is true at an operating point."""
+"""Model of the rig, and its true parameters at an operating point."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gbid.lpv import LPVModel, load_model
 
 @lru_cache(maxsize=4)
 def rig_model(experiment: Experiment) -> LPVModel:
-    """Load the model behind the rig: a name, or a YAML file relative to the experiment or the models folder.
+    """Return the model of the rig: by name, or from a YAML file relative to the experiment or the models folder.
 
     Raises
     ------
     UsageError
-        When there is none, or its file is broken.
+        When the model is missing or its file is faulty.
     """
     assert experiment.spec.rig is not None
     name = experiment.spec.rig.model
@@ -29,6 +29,6 @@ def rig_model(experiment: Experiment) -> LPVModel:
 
 
 def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:
-    """Key parameters and actuator parameters of the rig at the operating point of a recording."""
+    """Return the true key parameters and actuator parameters at the operating point of a recording."""
     key_parameters = model.key_parameters(planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
     return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}

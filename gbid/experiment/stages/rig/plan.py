@@ -1,4 +1,4 @@
-"""From the rig section of an experiment to the machine, and to what `gbid.rig.record` is asked for."""
+"""Machine and arguments of `gbid.rig.record` from the rig section of an experiment."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ from gbid.rig import (
 
 
 def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
-    """Build the rig at the operating point of a recording, before any scatter.
+    """Return the rig at the operating point of a recording, before any scatter.
 
     Raises
     ------
     UsageError
-        Outside the model's domain, or when the rig refuses a value.
+        When the point lies outside the domain of the model, or the rig refuses a value.
     """
     rig = _rig(experiment)
     true = true_parameters(model, planned)
@@ -63,7 +63,7 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
 
 
 def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExperiment:
-    """Tell what the rig does in a recording.
+    """Return the run of the rig for a recording.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
 
 
 def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:
-    """Return what `gbid.rig.record` is told beside machine, experiment and controller."""
+    """Return the arguments of `gbid.rig.record` except machine, experiment and controller."""
     rig = _rig(experiment)
     return {
         "conditions": dict(planned.conditions),
@@ -106,7 +106,7 @@ def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[st
 
 
 def as_settings(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return options as plain values, for a content key."""
+    """Return options as plain values for a content key."""
     return {key: asdict(v) if isinstance(v, Scatter | Faults) else v for key, v in options.items()}
 
 
@@ -139,7 +139,7 @@ def _sensors(section: SensorSection) -> SensorChain:
 
 
 def faults_of(entry: FaultSection) -> Faults:
-    """Return an entry of faults as the rig takes it.
+    """Return an entry of faults as the value that the rig uses.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def faults_of(entry: FaultSection) -> Faults:
 
 
 def _faults(rig: RigSection, name: str) -> Faults | None:
-    """Return the faults of a recording, of the first entry that names it."""
+    """Return the faults of a recording from the first entry that names it; None without one."""
     for entry in rig.faults:
         if any(fnmatchcase(name, pattern) for pattern in entry.recordings):
             return faults_of(entry)

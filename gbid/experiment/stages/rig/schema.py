@@ -1,4 +1,4 @@
-"""What the rig section of an experiment YAML may say; names, units and defaults are those of `gbid.rig`."""
+"""Schema of the rig section; names, units and defaults are those of `gbid.rig`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ Axes = Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)]
 
 
 class Place(Section):
-    """One of the operating points."""
+    """Operating point of the list."""
 
     pressure_bar: Positive
     speed_rpm: NotNegative
@@ -62,7 +62,7 @@ Places = Annotated[tuple[Place, ...], Field(min_length=1)]
 
 
 class OperatingPoint(Section):
-    """Where the machine runs, and how many PRBS recordings are made there if not as many as elsewhere."""
+    """Operating point of the rig, and the number of its PRBS recordings if it differs from the other points."""
 
     pressure_bar: Positive
     speed_rpm: NotNegative
@@ -78,7 +78,7 @@ class PrbsSection(Section):
 
 
 class StationarySection(Section):
-    """Recordings with still piezos (paper, Sec. 3.5)."""
+    """Recordings with piezos at rest (paper, Sec. 3.5)."""
 
     recordings: CountOrZero = 1
     duration_s: Positive | None = None
@@ -87,7 +87,7 @@ class StationarySection(Section):
 class StaircaseSection(Section):
     """Staircases of the references, `recordings` for each axis (paper, Sec. 3.1); see `gbid.rig.Staircase`.
 
-    `at`: the operating points where; all when left out.
+    `at`: operating points of the staircases; all when left out.
     """
 
     recordings: CountOrZero = 1
@@ -101,7 +101,7 @@ class StaircaseSection(Section):
 class StackStaircaseSection(Section):
     """Staircases of single stacks, open loop and controlled (Figs. A.28, A.29); see `gbid.rig.StackStaircase`.
 
-    `at`: the operating points where; all when left out.
+    `at`: operating points of the staircases; all when left out.
     """
 
     recordings: CountOrZero = 1
@@ -133,7 +133,7 @@ class RunUpSection(Section):
 
 
 class SensorSection(Section):
-    """What the rig's sensors add; see `gbid.rig.SensorChain`."""
+    """Errors of the sensors; see `gbid.rig.SensorChain`."""
 
     noise_p_m: OneOrTwo = _SENSORS.noise_p
     noise_u_m: OneOrTwo = _SENSORS.noise_u
@@ -155,10 +155,10 @@ class UnbalanceSection(Section):
 
 
 class ActuatorSection(Section):
-    """Piezos: linear pairs as the model has them, or four stacks; see `gbid.rig.PiezoStacks`.
+    """Piezos: linear pairs as in the model, or four stacks; see `gbid.rig.PiezoStacks`.
 
-    `spread` makes the stacks unequal (`seed` chooses how); `hysteresis_m`, `creep` and `creep_times_s` are those
-    of all four before that.
+    `spread` makes the stacks unequal, with random numbers of `seed`. `hysteresis_m`, `creep` and `creep_times_s` are
+    the values of all four stacks before that.
     """
 
     kind: Literal["linear", "stacks"] = "linear"
@@ -172,7 +172,7 @@ class ActuatorSection(Section):
 
 
 class FlexibleModeSection(Section):
-    """A bending mode that the model leaves out; see `gbid.rig.FlexibleMode`."""
+    """Bending mode that the identified structure does not contain; see `gbid.rig.FlexibleMode`."""
 
     frequency_hz: Positive = _FLEXIBLE.frequency_hz
     damping: Positive = _FLEXIBLE.damping
@@ -180,7 +180,7 @@ class FlexibleModeSection(Section):
 
 
 class StiffeningSection(Section):
-    """A gas film that stiffens away from the centre; see `gbid.rig.FilmStiffening`."""
+    """Gas film whose stiffness rises away from the centre; see `gbid.rig.FilmStiffening`."""
 
     deviation_m: NotNegative = _STIFFENING.deviation
     at_m: Positive = _STIFFENING.at
@@ -214,7 +214,7 @@ class ScatterSection(Section):
     minimum_delay_s: NotNegative = _SCATTER.minimum_delay
 
     def as_scatter(self) -> Scatter:
-        """Return it as the rig takes it."""
+        """Return the scatter as the value that the rig uses."""
         return Scatter(
             self.share,
             self.delay_s,
@@ -227,7 +227,7 @@ class ScatterSection(Section):
 
 
 class FaultSection(Section):
-    """Faults of the recordings whose names match any of the patterns; see `gbid.rig.Faults`."""
+    """Faults of the recordings whose names match one of the patterns; see `gbid.rig.Faults`."""
 
     recordings: Names
     swapped: Annotated[tuple[Text, ...], Field()] = ()

@@ -1,4 +1,4 @@
-"""Stage that makes recordings on the virtual rig."""
+"""Stage of the recordings of the virtual rig."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gbid.rig import record
 
 
 def rig_tasks(job: Job) -> list[Task]:
-    """List the tasks of the rig section, one for each recording."""
+    """Return the tasks of the rig section, one for each recording."""
     return [
         recording_task(job, "rig", planned, _write_rig_recording)
         for planned in job.experiment.recordings.values()

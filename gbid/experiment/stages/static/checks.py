@@ -1,4 +1,4 @@
-"""What a static section means: its recordings are there and have the signals it asks for."""
+"""Checks of the static sections: their recordings exist and have the signals."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ ONLY_FOR = {
     "bearing": ("source",),
     "piezo": ("channel", "command_channel", "settle_s", "limits"),
 }
-"""Keys that one kind has and the other has not."""
+"""Keys that only one of the two kinds has."""
 
 
 def static_makes_sense(experiment: Experiment) -> Found:
-    """Each static characterisation has recordings with the signals that it needs, and no key of the other kind."""
+    """Yield problems of recordings and signals, and of keys of the other kind."""
     for name, section in experiment.spec.static.items():
         here: Location = ("static", name)
         chosen = experiment.matching(section.recordings)

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of a static characterisation."""
+"""Schema of the static sections."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Share = Annotated[float, Strict(), Field(gt=0, le=1)]
 class StaticSection(Section):
     """Static characterisation from staircases (paper, Sec. 3.1 and Appendix A).
 
-    `kind: bearing` maps the piezo positions to the disc position, from all its recordings together; `kind: piezo`
+    `kind: bearing` is the map from piezo positions to disc position, from all its recordings together; `kind: piezo`
     characterises one piezo stack or pair from one recording. See `gbid.characterise_staircase` and
-    `gbid.characterise_piezo`; what is left out has their defaults.
+    `gbid.characterise_piezo`; keys that are left out have their defaults.
     """
 
     recordings: Names
@@ -32,7 +32,7 @@ class StaticSection(Section):
 
 
 def wanted_signals(section: StaticSection) -> dict[str, str]:
-    """Signals by the key that names them, with the defaults of the functions."""
+    """Return the signals by the key that names them, with the defaults of the functions."""
     if section.kind == "piezo":
         return {"command": section.command or "r", "position": section.position or "u"}
     return {

@@ -1,4 +1,4 @@
-"""Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): staircases to maps and curves."""
+"""Stage of the static characterisation (paper, Sec. 3.1 and Appendix A): maps and curves from staircases."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _OPTIONS = ("command", "source", "position", "keep", "channel", "command_channel
 
 
 def static_tasks(job: Job) -> list[Task]:
-    """List the tasks of the static section, one for each characterisation."""
+    """Return the tasks of the static sections, one for each characterisation."""
     tasks = []
     for name, section in job.experiment.spec.static.items():
         recordings = tuple(q.name for q in job.experiment.matching(section.recordings))
@@ -41,19 +41,19 @@ def static_tasks(job: Job) -> list[Task]:
 
 
 def static_key(experiment: Experiment, name: str) -> str:
-    """Content key of a static characterisation."""
+    """Return the content key of a static characterisation."""
     section = experiment.spec.static[name]
     sources = [recording_key(experiment, q) for q in experiment.matching(section.recordings)]
     return content_key("static", section.model_dump(), sources)
 
 
 def load_made_static(job: Job, name: str) -> StaticMap | PiezoCurve:
-    """Read a static characterisation.
+    """Return an existing static characterisation.
 
     Raises
     ------
     DataError
-        When it is not there.
+        When the file is missing.
     """
     path = job.path(FOLDER, name)
     if job.experiment.spec.static[name].kind == "piezo":
@@ -81,7 +81,7 @@ def _write(job: Job, name: str, part: Path) -> Made:
     data = []
     for planned in job.experiment.matching(section.recordings):
         data.append(load_made(job, planned))
-        # The command rests at its limits and other axes are still: only what is measured is looked at.
+        # The command rests at its limits and other axes do not move: only the measured signals are checked.
         measured = [signal for key, signal in wanted_signals(section).items() if key != "command"]
         refuse_bad_signals(planned, data[-1], measured, kinds=("too_few_samples", "dead", "swapped", "rub"))
     result: StaticMap | PiezoCurve

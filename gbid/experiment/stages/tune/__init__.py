@@ -1,1 +1,1 @@
-"""Controllers whose gains are tuned."""
+"""Controllers with tuned gains."""

@@ -1,4 +1,4 @@
-"""What the controller section means: structures, models, gains and operating points exist."""
+"""Checks of the controller section: structures, models, gains and operating points exist."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.structure.linear import Structure
 
 
 def designs_can_be_tuned(experiment: Experiment) -> Found:
-    """Check that structure and model are there, gains are those of the structure, points lie inside the domain."""
+    """Yield problems of the structure, model, gains and operating points of each design."""
     for name, section in experiment.spec.controller.items():
         where: Location = ("controller", name)
         model: LPVModel | None = None
@@ -29,7 +29,7 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
                 yield (*where, "model") if section.model else where, str(error)
                 continue
             if section.uncertainty is not None:
-                yield (*where, "uncertainty"), "is drawn from the surfaces of this experiment; write model: lpv"
+                yield (*where, "uncertainty"), "needs the surfaces of this experiment; write model: lpv"
         else:
             yield from _surfaces_problems(experiment, section, where)
         if model is not None:
@@ -48,7 +48,7 @@ def _surfaces_problems(experiment: Experiment, section: ControllerSection, where
     if lpv.actuators is None:
         yield (*where, "model") if section.model else where, "the surfaces have no actuators; add lpv: actuators"
     if section.model == "lpv_direct" and not lpv.direct:
-        yield (*where, "model"), "there are no surfaces straight from the recordings; write lpv: direct: true"
+        yield (*where, "model"), "there are no surfaces of a direct LPV fit; write lpv: direct: true"
 
 
 def _point_problems(section: ControllerSection, model: LPVModel, where: Location) -> Found:

@@ -1,4 +1,4 @@
-"""What a controller section asks for: structure, model, impact, sampling."""
+"""Plan of a design: structure, model, impact and sampling from its controller section."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gbid.structure import load_structure
 from gbid.structure.linear import Structure
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
-"""Words for the surfaces of an experiment, and what their files add to the name of the fit."""
+"""Words for the surfaces of an experiment, and the suffixes of their files."""
 _SAMPLE_TIME_S = 2e-4
 
 
@@ -27,7 +27,7 @@ def controller_section(experiment: Experiment, name: str) -> ControllerSection:
     Raises
     ------
     UsageError
-        When there is none of this name.
+        When no design has this name.
     """
     designs = experiment.spec.controller
     if name not in designs:
@@ -36,12 +36,12 @@ def controller_section(experiment: Experiment, name: str) -> ControllerSection:
 
 
 def model_word(experiment: Experiment, section: ControllerSection) -> str | None:
-    """Return which model a design is for: ``lpv``, ``lpv_direct``, a name or file; None for the rig's own."""
+    """Return the model entry of a design: ``lpv``, ``lpv_direct``, a name or file; None for the model of the rig."""
     return section.model or ("lpv" if experiment.spec.lpv is not None else None)
 
 
 def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | None:
-    """Return the name of the surfaces that a design is for, None when it is for another model."""
+    """Return the name of the surfaces of a design; None when it uses another model."""
     word = model_word(experiment, section)
     if word not in SURFACES:
         return None
@@ -51,12 +51,12 @@ def surfaces_item(experiment: Experiment, section: ControllerSection) -> str | N
 
 
 def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
-    """Load the model of a design that is not for the surfaces of the experiment.
+    """Return the model of a design that does not use the surfaces of the experiment.
 
     Raises
     ------
     UsageError
-        When it is not there or knows no actuators, or none is named and there is no rig either.
+        When the model is missing, has no actuators, or is not named in an experiment without rig.
     """
     word = model_word(experiment, section)
     if word is None:
@@ -70,12 +70,12 @@ def named_model(experiment: Experiment, section: ControllerSection) -> LPVModel:
 
 
 def with_actuators(model: LPVModel) -> LPVModel:
-    """Return a model that a loop can be closed on.
+    """Return the model after a check that it has actuators, which a closed loop needs.
 
     Raises
     ------
     UsageError
-        When it has no actuators.
+        When the model has no actuators.
     """
     if not model.actuators:
         raise UsageError(f"model {model.name!r} has no actuators, which a closed loop needs; add them (lpv: actuators)")
@@ -85,19 +85,26 @@ def with_actuators(model: LPVModel) -> LPVModel:
 def design_structure(
     experiment: Experiment, section: ControllerSection, domain: Domain | None = None
 ) -> Structure | Scheduled:
-    """Build the controller's structure.
+    """Return the structure of the controller.
 
     Parameters
     ----------
     experiment : Experiment
+        The experiment.
     section : ControllerSection
+        Section of the design.
     domain : Domain, optional
         Range of pressure and speed that scales a schedule.
+
+    Returns
+    -------
+    Structure or Scheduled
+        The structure, scheduled when the section has a schedule.
 
     Raises
     ------
     UsageError
-        For an unknown structure or option, or a file that does not give one.
+        When the structure or an option is unknown, or the file does not define a structure.
     """
     given = {key: getattr(section, key) for key in ("lowpass_hz", "order", "tune_corner")}
     options = {key: value for key, value in given.items() if value is not None}
@@ -114,19 +121,19 @@ def design_structure(
 
 
 def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
-    """Return the text of the file that a structure of one's own is in, for content keys; empty for the others."""
+    """Return the text of the file of a user's structure, for content keys; empty for built-in structures."""
     file = section.structure.rpartition(":")[0]
     return (experiment.folder / file).read_bytes() if file else b""
 
 
 def impact(section: ControllerSection) -> HalfSine:
-    """Return the impact that designs are compared under: that of the section, or the default."""
+    """Return the impact for the assessment of designs: that of the section, or the default."""
     given = section.impact
     return HalfSine() if given is None else HalfSine(given.peak_n, given.duration_s)
 
 
 def tune_options(section: ControllerSection) -> dict[str, Any]:
-    """Return the arguments of `gbid.tune` that the section gives as they are; not model, structure and cap."""
+    """Return the arguments of `gbid.tune` from the section, except model, structure and cap."""
     points: Any = {"model": None, "domain": "domain"}.get(str(section.operating_points))
     if not isinstance(section.operating_points, str):
         points = [(q.pressure_bar, q.speed_rpm) for q in section.operating_points]
@@ -145,7 +152,7 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
 
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
-    """Return the conditions under which designs are assessed, as arguments of `gbid.control.assess`; not the points."""
+    """Return the arguments of `gbid.control.assess` from the section, except the points."""
     travel = None if section.impact is None else section.impact.piezo_travel_m
     return {
         "sample_time": sample_time(experiment, section),
@@ -156,18 +163,18 @@ def assess_options(experiment: Experiment, section: ControllerSection) -> dict[s
 
 
 def sample_time(experiment: Experiment, section: ControllerSection) -> float:
-    """Return the time at which the controller is sampled [s]."""
+    """Return the sample time of the controller [s]."""
     rig = experiment.spec.rig
     return section.sample_time_s or (rig.sample_time_s if rig is not None else _SAMPLE_TIME_S)
 
 
 def published_design(experiment: Experiment, model: LPVModel) -> ProportionalDesign | None:
-    """Return the controller that came with the model, or with the rig; None when there is none."""
+    """Return the published controller of the model or of the rig; None when there is none."""
     if model.controller is not None or experiment.spec.rig is None:
         return model.controller
     return rig_model(experiment).controller
 
 
 def published_structure(came: ProportionalDesign) -> Structure:
-    """Return the structure of a controller that came with a model."""
+    """Return the structure of a published controller."""
     return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)

@@ -1,4 +1,4 @@
-"""What an experiment YAML may say of controllers to be tuned."""
+"""Schema of the controller section."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from gbid.experiment.stages.impact.schema import ImpactPoint
 from gbid.experiment.stages.lpv.schema import Term
 
 Cap = Annotated[float, Strict(), AllowInfNan(False), Field(gt=1)]
-"""A cap on the peak of S_o, which is 1 at high frequencies."""
+"""Cap on the peak of S_o; it exceeds 1, the value of S_o at high frequencies."""
 
 
 def _points(value: Any, listed: Callable[[Any], Any]) -> Any:
-    """Take one of the words as it is; a union would name its members in every error."""
+    """Return a word unchanged, and check a list; pydantic's union would list both forms in every error."""
     if not isinstance(value, str):
         if value in ([], None):
             raise ValueError("is empty; list at least one operating point, or write model or domain")
@@ -49,7 +49,7 @@ else:
 
 
 class ImpactSection(Section):
-    """Half-sine impact, along x and along y, under which no piezo stack may leave its travel."""
+    """Half-sine impact along x and along y, under which no piezo stack may exceed its travel."""
 
     peak_n: Positive = 12.0
     duration_s: Positive = 2e-3
@@ -57,26 +57,26 @@ class ImpactSection(Section):
 
 
 class DrawnPlantsSection(Section):
-    """Plants drawn from the covariance of the surfaces' coefficients; the design must hold for each of them."""
+    """Plants drawn from the covariance of the surfaces' coefficients; the design must meet the limits for each."""
 
     draws: Count = 10
     seed: CountOrZero = 0
 
 
 class ControllerSection(Section):
-    """A controller of fixed structure, its gains tuned over operating points (paper, Sec. 5); see `gbid.tune`.
+    """Controller of fixed structure with gains tuned over operating points (paper, Sec. 5); see `gbid.tune`.
 
-    `structure`: ``P``, ``PD``, ``biquad``, or one of your own as ``file.py:name``. `lowpass_hz`, `order` and
-    `tune_corner` (whether the corner is a gain as well) are options of the built-in ones.
-    `schedule`: terms of pressure and speed that the gains follow; gains are constant without.
-    `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else a model's name or file; when left out,
-    the surfaces where there is a section lpv, else the rig's model.
+    `structure`: ``P``, ``PD``, ``biquad``, or your own as ``file.py:name``. `lowpass_hz`, `order` and
+    `tune_corner` (whether the corner is a gain as well) are options of the built-in structures.
+    `schedule`: terms of pressure and speed on which the gains depend; without it gains are constant.
+    `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else the name or file of a model. When it is
+    left out, the surfaces are used if there is a section lpv, else the model of the rig.
     `operating_points`: ``model`` for those of the model, ``domain`` for its whole rectangle, or a list.
     `peak_sensitivity`: null for none. `uncertainty` needs the surfaces of this experiment.
-    `pareto`: caps on the peak of S_o under which the same design is tuned as well.
-    `sample_time_s` and `method`: how the controller file is sampled; at the rig's sample time when left out.
+    `pareto`: further caps on the peak of S_o; the same design is tuned under each.
+    `sample_time_s` and `method`: sampling of the controller file; the default is the sample time of the rig.
     `design_for`: ``sampled`` tunes the loop as it runs, with the delay of sampling and one sample for computation;
-    ``continuous`` the loop of the paper, which damps more than the one that will run.
+    ``continuous`` tunes the loop of the paper, which has more damping than the loop that will run.
     """
 
     structure: Text = "P"

@@ -1,4 +1,4 @@
-"""Stage that tunes controllers (paper, Sec. 5)."""
+"""Stage of the tuned controllers (paper, Sec. 5)."""
 
 from __future__ import annotations
 
@@ -47,11 +47,11 @@ from gbid.experiment.stages.tune.schema import ControllerSection
 from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit
 
 PUBLISHED = "published"
-"""Name of the controller that came with the machine, beside the designs."""
+"""Name of the published controller in tables of designs."""
 
 
 def design_tasks(job: Job) -> Work:
-    """List the tasks of the controller section, one for each design; a design whose plant is not there has failed."""
+    """Return the tasks of the controller section, one for each design; failed outcomes for designs without plant."""
     work: list[Task | Outcome] = []
     surfaces = _surface_keys(job)
     for name, section in job.experiment.spec.controller.items():
@@ -72,13 +72,14 @@ def _file_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
 
 
 def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
-    """Read the designs that are there, made from the present settings and fits, by name; nothing is made.
+    """Return the designs made from the present settings and fits, by name; nothing is computed.
 
     Returns
     -------
-    dict of str to TunedDesign
-    dict of str to str
-        Those that are not there, and why.
+    designs : dict of str to TunedDesign
+        Existing designs by name.
+    missing : dict of str to str
+        Reason for each missing design, by name.
     """
     found: dict[str, TunedDesign] = {}
     missing: dict[str, str] = {}
@@ -98,12 +99,12 @@ def read_designs(job: Job) -> tuple[dict[str, TunedDesign], dict[str, str]]:
 
 
 def made_designs(outcomes: Sequence[Outcome]) -> dict[str, TunedDesign]:
-    """Load the designs that are there, by name."""
+    """Return the existing designs by name."""
     return {o.item: load_tuned(o.path) for o in outcomes if o.stage == "tune" and o.state != "failed"}
 
 
 def _surface_keys(job: Job) -> dict[str, str]:
-    """Keys of the surfaces that are there, made from the present fits, when a design is for any."""
+    """Return the content keys of the surfaces made from the present fits; empty when no design needs them."""
     experiment = job.experiment
     if all(surfaces_item(experiment, section) is None for section in experiment.spec.controller.values()):
         return {}
@@ -120,7 +121,7 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
         source = surfaces[item]
         published = published_design(experiment, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")).model)
     else:
-        raise InputError(f"no surfaces {item!r} made from the present fits are there; run `gbid lpv` or `gbid run`")
+        raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
     settings = {
         **section.model_dump(),
         "text": structure_text(experiment, section).decode(errors="replace"),
@@ -131,7 +132,7 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
-    """Load the model of a design, and the plants that it may be where the section asks for them."""
+    """Return the model of a design, and its uncertainty when the section wants plants drawn from it."""
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
@@ -176,7 +177,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
 def _performance(
     job: Job, section: ControllerSection, name: str, model: LPVModel, structure: Any, result: GainResult
 ) -> tuple[DesignFigures, ...]:
-    """Assess the design, and the published one beside it."""
+    """Return the assessments of the design and of the published controller."""
     options = assess_options(job.experiment, section)
     own = DesignFigures.of(assess(model, structure, result.gains, result.points, name=name, **options))
     came = published_design(job.experiment, model)
@@ -191,9 +192,10 @@ def _assess_published(
 
 
 def assess_published(experiment: Experiment, model: LPVModel) -> DesignFigures | None:
-    """Assess the controller that came with a model, where the experiment tunes none; None when none came.
+    """Return the assessment of the published controller of a model; None when there is none.
 
-    Figures are those of an empty section ``controller``: at the model's operating points, sampled as the rig is.
+    It is for experiments without designs. The conditions are those of an empty section ``controller``: operating points
+    of the model, sample time of the rig.
     """
     came = published_design(experiment, model)
     options = assess_options(experiment, ControllerSection())
@@ -207,8 +209,8 @@ def _made(design: TunedDesign) -> Made:
         return Made("; ".join(stuck))
     worst = result.worst
     mode = f"{worst.frequency_hz:.0f} Hz with damping {worst.damping:.3f} at {worst.where}"
-    held = f", held back by {', '.join(result.active)}" if result.active else ""
-    text = f"{result.status}: limits exceeded by {100 * result.violation:.2g} %{held}; worst mode {mode}"
+    active = f", limited by {', '.join(result.active)}" if result.active else ""
+    text = f"{result.status}: limits exceeded by {100 * result.violation:.2g} %{active}; worst mode {mode}"
     return Made("; ".join([text, *stuck]), converged=False)
 
 
@@ -232,7 +234,7 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
         provenance["cap_peak_sensitivity"] = section.peak_sensitivity
     if result.peak_sensitivity is not None:
         provenance["peak_sensitivity"] = result.peak_sensitivity
-    with tempfile.TemporaryDirectory() as folder:  # the ending tells save_controller the kind of file
+    with tempfile.TemporaryDirectory() as folder:  # save_controller chooses the format by the ending
         file = Path(folder) / f"{name}.yaml"
         save_controller(
             file,
@@ -253,5 +255,5 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
 TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (_file_tasks,))
 """``controller/<design>.h5`` and ``controller/<design>.yaml``.
 
-A design that keeps not all limits is not converged; it is written.
+A design that does not meet all limits counts as not converged; it is written.
 """

@@ -19,7 +19,7 @@ def held_back(design: TunedDesign) -> list[str]:
         found.append(f"{result.status}, limits exceeded by {100 * result.violation:.2g} %")
     stuck = [text for text in result.active if text.endswith("bound")]
     if stuck:
-        found.append(f"held back by {', '.join(stuck)}; wider bounds may damp more")
+        found.append(f"limited by {', '.join(stuck)}; wider bounds may damp more")
     found += [f"under the cap {cap:g}: {entry.status}" for cap, entry in design.front if not entry.success]
     return found
 
@@ -37,7 +37,7 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
         held = ", ".join(result.active) or "–"
         rows.append((name, str(result.status), f"{result.value:.4f}{unit}", worst, held, result.verified_on))
         blocks += [Words(f"{name}: {text}", "warn") for text in held_back(design)]
-    columns = ("design", "status", "aim reached", "worst mode", "held back by", "checked")
+    columns = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
     blocks.append(Table("What the tuning found", [Column(name) for name in columns], rows))
     notes = [f"{name}: {note}" for name, design in tuned.items() for note in design.result.notes]
     if notes:
