@@ -1,1 +1,1 @@
-"""Many fits: plan, engines, resume, collect."""
+"""Campaigns of many fits: plan, engines, resuming, and the table of results."""

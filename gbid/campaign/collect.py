@@ -1,4 +1,4 @@
-"""The table of all fits of a campaign."""
+"""Table of all fits of a campaign."""
 
 from __future__ import annotations
 
@@ -23,19 +23,21 @@ NOT_MADE = "not made yet; run `gbid batch`"
 
 
 def collect(job: Job) -> tuple[FitTable, list[Outcome]]:
-    """Write ``table.h5`` and ``table.csv``: one row for each fit of the experiment, as far as the campaign got.
+    """Write ``table.h5`` and ``table.csv`` with one row for each fit of the experiment, made or missing.
 
-    A table of an earlier state of the same campaign is replaced; there is nothing in it that is not in the fits.
+    A table of an earlier state of the same campaign is replaced; all its data are also in the fits.
 
     Parameters
     ----------
     job : Job
+        The job.
 
     Returns
     -------
-    FitTable
-    list of Outcome
-        Of the two files.
+    table : FitTable
+        The table.
+    outcomes : list of Outcome
+        Outcomes of the two files.
     """
     tasks = fit_tasks(job)
     states = _states(job, tasks)
@@ -71,7 +73,7 @@ def _entry(job: Job, task: Task, state: bool | str) -> TableEntry:
 
 
 def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
-    """For each fit true when its result is there, else why not."""
+    """Return, for each fit, true when its result exists, else the reason as text."""
     there = [stored_key(task.path) == task.key for task in tasks]
     sources: dict[str, list[Task]] = {}
     if not all(there):
@@ -81,7 +83,7 @@ def _states(job: Job, tasks: Sequence[Task]) -> list[bool | str]:
 
 
 def _why_not(job: Job, task: Task, sources: Mapping[str, list[Task]]) -> str:
-    """Tell why there is no result: the fit failed, or what it starts from."""
+    """Return the reason of a missing result: the fit or one of its inputs failed, or it was not made yet."""
     failure = remembered_failure(job, task)
     if failure is not None:
         return f"failed: {failure.text}"

@@ -1,4 +1,4 @@
-"""Workers of a Dask cluster. They must see the results folder under the same path."""
+"""Dask engine: workers of a cluster, which must see the results folder under the same path."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import fail
 
-_PATIENCE = 10.0  # seconds for a scheduler to answer
-_AHEAD = 3  # journeys for each thread of a worker at a time, so that it need not wait
-_JOURNEYS, _LARGEST = 50, 16  # for each thread in all, when there are many tasks; tasks of one journey
-_CALM = {  # what Dask does beside the tasks, many times for each fit: over a third of a short one, in sum
+_PATIENCE = 10.0  # longest time for a scheduler to answer [s]
+_AHEAD = 3  # submissions per thread of a worker at a time, so that it need not wait
+_JOURNEYS, _LARGEST = 50, 16  # submissions per thread in all, for many tasks; largest number of tasks in one
+_CALM = {  # Dask's own monitoring, which takes over a third of the time of short fits
     "distributed.worker.profile.enabled": False,  # a tenth of the time
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "5s",
-    # Dask's own has MALLOC_TRIM_THRESHOLD_ as well: every larger array goes back to the system and is taken anew.
+    # Dask's default contains MALLOC_TRIM_THRESHOLD_, with which each larger array is allocated anew by the system.
     "distributed.nanny.pre-spawn-environ": dict.fromkeys(ONE_THREAD, 1),
 }
-_one_at_a_time = threading.Lock()  # in each worker process: the solver bears no threads
+_one_at_a_time = threading.Lock()  # in each worker process: the solver is not thread-safe
 
 
 class DaskEngine:
-    """A Dask scheduler that is running somewhere, or a cluster of processes on this machine.
+    """Engine that runs tasks on a Dask scheduler, or on a Dask cluster of processes on this machine.
 
     Parameters
     ----------
     scheduler : str, optional
-        Its address, ``tcp://host:port``; without, workers are started here.
+        Address of the scheduler, ``tcp://host:port``; without it, workers are started on this machine.
     n_workers : int
-        How many are started here.
+        Number of workers to start on this machine.
 
     Raises
     ------
     UsageError
-        When Dask is not installed, or no scheduler answers.
+        When Dask is not installed, or the scheduler does not answer.
     GbidError
-        When no workers can be started here.
+        When no workers can be started on this machine.
     """
 
     def __init__(self, scheduler: str | None, n_workers: int) -> None:
@@ -64,16 +64,16 @@ class DaskEngine:
             ) from None
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.run.job.TaskEngine`.
+        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.job.TaskEngine`.
 
         Raises
         ------
         NoSpaceError
             When the disk is full.
         DataError
-            When the workers write to another results folder than this process sees.
+            When the workers write to another results folder than that of this process.
         UsageError
-            When the scheduler is lost.
+            When the connection to the scheduler is lost.
         """
         from distributed import CancelledError, as_completed
         from distributed.scheduler import KilledWorker
@@ -92,7 +92,7 @@ class DaskEngine:
                 job.reporter.begin(tasks[number].stage, tasks[number].item)
 
         def announce() -> None:
-            """Tell of as many tasks as there are threads; a worker does not say which one it is at."""
+            """Report as many tasks as begun as there are threads; workers do not report which task they run."""
             while upcoming and len(begun) < threads:
                 begin(upcoming.popleft())
 
@@ -118,7 +118,7 @@ class DaskEngine:
             for future in completed:
                 chunk, error = sent.pop(future), future.exception()
                 if isinstance(error, KilledWorker) and len(chunk) > 1:
-                    waiting.extendleft([number] for number in chunk)  # one of them was it; those that are done stay so
+                    waiting.extendleft([number] for number in chunk)  # one of them killed it; finished ones are kept
                 submit()
                 if error is None:
                     for number, result in zip(chunk, future.result(), strict=True):
@@ -128,33 +128,31 @@ class DaskEngine:
                     raise error
                 elif len(chunk) == 1:
                     settle(chunk[0])
-                    text = "the Dask workers that ran it died; mostly this means that memory was short"
+                    text = "the Dask workers that ran it died; the usual reason is too little memory"
                     yield chunk[0], fail(job, tasks[chunk[0]], Failure(tasks[chunk[0]].key, "crash", text))
         except (OSError, CancelledError) as error:
             why = " ".join(str(error).split()) or type(error).__name__
             raise UsageError(
-                f"the Dask scheduler was lost ({why}); start it and run again, what is complete is kept"
+                f"the connection to the Dask scheduler is lost ({why}); start it and run again; complete results stay"
             ) from None
         finally:
-            with contextlib.suppress(OSError, CancelledError):  # when it is gone, or a worker dies at this moment
+            with contextlib.suppress(OSError, CancelledError):  # when the scheduler or a worker has just ended
                 if sent:
                     self.client.cancel(list(sent))
                 self.client.unregister_worker_plugin(name)
 
     def _register(self, plugin: Any, name: str) -> None:
-        """Give a plugin to all workers; again when one dies at this moment. Those that come later get it as well."""
+        """Register a plugin with all present and later workers; try again when a worker dies meanwhile."""
         for left in reversed(range(ATTEMPTS)):
             try:
                 self.client.register_plugin(plugin, name=name)
                 return
             except OSError as error:
                 if not left:
-                    raise GbidError(
-                        f"the Dask workers do not answer ({error}); look after them, then run again"
-                    ) from None
+                    raise GbidError(f"the Dask workers do not answer ({error}); check them, then run again") from None
 
     def close(self) -> None:
-        """Leave the scheduler, and end the workers that were started here."""
+        """Disconnect from the scheduler, and stop the workers that this engine started."""
         self.client.close()
         if self._cluster is not None:
             self._cluster.close()
@@ -164,13 +162,13 @@ class DaskEngine:
             raise NoSpaceError(result)
         if result.state == "made" and not task.path.exists():
             raise DataError(
-                f"{task.path}: a Dask worker made it, but it is not here; workers must see the same results folder"
+                f"{task.path}: a Dask worker made it, but it is missing here; workers must see the same results folder"
             )
         return result
 
 
 def _local_cluster(n_workers: int) -> Any:
-    """Start workers on this machine; again when one of them dies before it has begun."""
+    """Return a cluster of workers on this machine; try again when a worker dies at its start."""
     import dask
     from distributed import LocalCluster
 
@@ -187,7 +185,7 @@ def _local_cluster(n_workers: int) -> Any:
 
 
 def _carrier(shipped: bytes) -> Any:
-    """Return a plugin that brings the job to each worker once."""
+    """Return a plugin that sends the job to each worker once."""
     from distributed import WorkerPlugin
 
     class JobCarrier(WorkerPlugin):  # type: ignore[misc]
@@ -201,7 +199,7 @@ def _carrier(shipped: bytes) -> Any:
 
 
 def _chunks(count: int, threads: int) -> deque[list[int]]:
-    """Numbers of the tasks that travel together: many small journeys would cost more than the fits gain."""
+    """Return the numbers of the tasks of each submission; many small submissions would take longer than the fits."""
     size = min(_LARGEST, max(1, count // (threads * _JOURNEYS)))
     return deque(list(range(first, min(first + size, count))) for first in range(0, count, size))
 

@@ -1,4 +1,4 @@
-"""Which engine runs the tasks."""
+"""Choice of the engine that runs the tasks."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from gbid.experiment.run.perform import InTurn
 EngineName = Literal["auto", "serial", "pool", "dask"]
 
 FEW = 8
-"""Below so many tasks of a stage the start of worker processes costs more than they gain."""
+"""Smallest number of tasks of a stage for which worker processes are started."""
 
 
 def make_engine(name: str = "auto", workers: int | None = None, scheduler: str | None = None) -> TaskEngine:
-    """Make what runs tasks.
+    """Return an engine that runs tasks.
 
     Parameters
     ----------
     name : {"auto", "serial", "pool", "dask"}
-        "serial" is this process; "pool" are processes of this machine; "auto" is this process for a few tasks and the
-        pool for many.
+        "serial" is this process; "pool" is a pool of processes on this machine; "auto" is this process for a few tasks
+        and the pool for many.
     workers : int, optional
-        Number of processes; the processors that this process may use when not given.
+        Number of processes; the default is the number of processors that this process may use.
     scheduler : str, optional
         Address of a Dask scheduler.
 
     Returns
     -------
     TaskEngine
-        To be closed after use.
+        The engine; close it after use.
 
     Raises
     ------
     UsageError
-        For an unknown name, options that do not go together, or a scheduler that does not answer.
+        When the name is unknown, the options contradict each other, or the scheduler does not answer.
     """
     if name not in get_args(EngineName):
         raise UsageError(f"engine {name!r}; choose {', '.join(get_args(EngineName))}")
@@ -47,7 +47,7 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
     if scheduler is not None and name not in ("auto", "dask"):
         raise UsageError(f"a scheduler is for the engine dask, not {name}; leave one of the two out")
     if scheduler is not None and workers is not None:
-        raise UsageError("the scheduler knows how many workers it has; leave the number out")
+        raise UsageError("a scheduler has its own workers; leave the number of workers out")
     if workers is not None and name == "serial":
         raise UsageError("the engine serial is this process alone; leave the number of workers out, or choose pool")
     count = workers or _processors()
@@ -63,23 +63,23 @@ def make_engine(name: str = "auto", workers: int | None = None, scheduler: str |
 
 
 class Auto:
-    """Runs a few tasks in this process and many on a pool; once that has been started, it runs any."""
+    """Engine that runs a few tasks in this process and many on a pool; a pool that has started runs all."""
 
     def __init__(self, pool: TaskEngine) -> None:
         self._pool, self._started = pool, False
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.run.job.TaskEngine`."""
+        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.job.TaskEngine`."""
         self._started = self._started or len(tasks) >= FEW
         yield from (self._pool if self._started else InTurn()).outcomes(job, tasks)
 
     def close(self) -> None:
-        """End the pool."""
+        """Close the pool."""
         self._pool.close()
 
 
 def _processors() -> int:
     try:
         return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
+    except AttributeError:  # missing on some systems
         return os.cpu_count() or 1

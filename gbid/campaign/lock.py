@@ -1,4 +1,4 @@
-"""One runner in a results folder; shards of one campaign may share it."""
+"""Lock of a results folder: one runner at a time, or several shards of one campaign."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ NAME = ".gbid.lock"
 
 @contextlib.contextmanager
 def locked(results: Path, shared: bool = False) -> Iterator[None]:
-    """Hold a results folder for one runner while the block lasts; the lock goes with the process that holds it.
+    """Return a context that locks a results folder for one runner; the lock ends with its process.
 
     Parameters
     ----------
     results : pathlib.Path
         The folder; it is made when missing.
     shared : bool
-        Whether others that share may come as well: shards, each with work of its own.
+        Whether other shards, each with tasks of its own, may use the folder at the same time.
 
     Raises
     ------
     UsageError
-        When another runner holds the folder.
+        When another runner has locked the folder.
     DataError
-        When the folder cannot be written, or its file system knows no locks.
+        When the folder cannot be written, or its file system has no locks.
     """
     path = results / NAME
     try:
@@ -57,7 +57,7 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
 
 
 def _take(path: Path, shared: bool) -> int:
-    """Open and lock the file; again when it was removed in between, as its last owner does."""
+    """Open and lock the file; try again when its last owner has removed it meanwhile."""
     while True:
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         try:
@@ -73,9 +73,9 @@ def _take(path: Path, shared: bool) -> int:
 
 
 def _sign(handle: int) -> None:
-    """Write who holds the lock, for the message that another one gets."""
+    """Write the owner of the lock into the file, for the error message of another runner."""
     owner = {"host": socket.gethostname(), "process": os.getpid(), "since": f"{datetime.now():%Y-%m-%d %H:%M:%S}"}
-    with contextlib.suppress(OSError):  # on a full disk the lock holds all the same
+    with contextlib.suppress(OSError):  # the lock is valid also on a full disk
         os.ftruncate(handle, 0)
         os.pwrite(handle, json.dumps(owner).encode(), 0)
 

@@ -1,4 +1,4 @@
-"""What a campaign has to do: what is there, what is to be made, what failed before."""
+"""Plan of a campaign: the tasks to run, current results, and earlier failures."""
 
 from __future__ import annotations
 
@@ -14,14 +14,16 @@ from gbid.experiment.stages import registry
 
 @dataclass(frozen=True)
 class Planned:
-    """The tasks of one stage.
+    """Tasks of one stage with their known outcomes.
 
     Attributes
     ----------
     stage : Stage
+        The stage.
     tasks : tuple of Task
+        Its tasks.
     known : tuple of Outcome or None
-        For each task what is known of it already; None for one to be done.
+        Known outcome of each task; None for a task to run.
     """
 
     stage: Stage
@@ -30,23 +32,24 @@ class Planned:
 
 
 def plan_campaign(job: Job, shard: Shard | None = None) -> list[Planned]:
-    """List the tasks of all stages, with what is there and what failed before.
+    """Return the tasks of all stages, with current results and earlier failures.
 
     Parameters
     ----------
     job : Job
+        The job.
     shard : Shard, optional
-        The part of the campaign to look at.
+        Part of the campaign; all of it by default.
 
     Returns
     -------
     list of Planned
-        Stages that have tasks, in their order.
+        Stages with tasks, in their order.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced, before any work is done.
+        When a result made from other settings exists and must not be replaced. No task has run then.
     """
     stages = []
     for stage, all_tasks in early_tasks(job):
@@ -57,6 +60,6 @@ def plan_campaign(job: Job, shard: Shard | None = None) -> list[Planned]:
 
 
 def early_tasks(job: Job) -> list[tuple[Stage, list[Task]]]:
-    """List the stages whose tasks are known before anything has run, from recordings to fits, with their tasks."""
+    """Return the stages whose tasks are known before a run, from recordings to fits, with their tasks."""
     early = [stage for stage in registry.STAGES if stage.early]
     return [(stage, [item for item in stage.tasks(job) if isinstance(item, Task)]) for stage in early]

@@ -1,4 +1,4 @@
-"""Worker processes on this machine, which may die without harm to the rest."""
+"""Pool of worker processes on this machine; the death of a worker does not stop the others."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import fail, standing
 
 ATTEMPTS = 3
-"""How often a task may take its worker down before it counts as failed."""
+"""Number of times that a task may kill its worker before it counts as failed."""
 
 ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-_PATIENCE = 3.0  # seconds for a worker to end
+_PATIENCE = 3.0  # longest time for a worker to end [s]
 
 
 @dataclass(eq=False)
@@ -38,13 +38,14 @@ class _Worker:
 
 
 class ProcessPool:
-    """Spawned processes, one BLAS thread each. They start with the first tasks and stay until the pool is closed.
+    """Engine of spawned processes with one BLAS thread each. They start with the first tasks and run until `close`.
 
-    A task whose worker dies is given to another one, at most `ATTEMPTS` times in all: then it has failed.
+    A task whose worker dies is given to another worker, up to `ATTEMPTS` times in all. Then it has failed.
 
     Parameters
     ----------
     n_workers : int
+        Largest number of processes.
     """
 
     def __init__(self, n_workers: int) -> None:
@@ -57,7 +58,7 @@ class ProcessPool:
         return [worker.process.pid for worker in self._workers if worker.process.pid is not None]
 
     def outcomes(self, job: Job, tasks: Sequence[Task]) -> Generator[tuple[int, Outcome], None, None]:
-        """Run tasks; see `gbid.experiment.run.job.TaskEngine`.
+        """Run tasks; yield number and outcome of each, as in `gbid.experiment.run.job.TaskEngine`.
 
         Raises
         ------
@@ -70,7 +71,7 @@ class ProcessPool:
         waiting, deaths, stillborn = deque(range(len(tasks))), Counter[int](), 0
         try:
             for worker in self._workers:
-                with contextlib.suppress(OSError):  # a worker that is gone is noticed when it is listened to
+                with contextlib.suppress(OSError):  # a dead worker is noticed when its pipe is read
                     worker.connection.send(shipped)
             while waiting or any(worker.number is not None for worker in self._workers):
                 busy = sum(worker.number is not None for worker in self._workers)
@@ -102,14 +103,14 @@ class ProcessPool:
                     number, result = message
                     if isinstance(result, str):
                         raise NoSpaceError(result)
-                    if waiting:  # before the outcome is looked at: the worker need not wait for that
+                    if waiting:  # before the outcome is processed, so that the worker need not wait for that
                         self._give(worker, waiting.popleft(), job, tasks)
                     yield number, result
         finally:
             self._stop([worker for worker in self._workers if worker.number is not None])
 
     def close(self) -> None:
-        """End the workers."""
+        """Stop the workers."""
         self._stop(list(self._workers))
 
     def _start(self, count: int, shipped: bytes) -> None:
@@ -131,12 +132,12 @@ class ProcessPool:
             worker.connection.send((number, bare_task(tasks[number])))
 
     def _ready(self) -> list[_Worker]:
-        """Wait until a worker has something to say, or is gone."""
+        """Return the workers with a message, or whose process has ended; wait for the first."""
         heard = pipes.wait([worker.connection for worker in self._workers])
         return [worker for worker in self._workers if worker.connection in heard]
 
     def _bury(self, worker: _Worker) -> str:
-        """Forget a worker that died; tell how."""
+        """Remove a worker that died; return its signal or exit code as text."""
         self._workers.remove(worker)
         worker.connection.close()
         worker.process.join(_PATIENCE)
@@ -146,13 +147,13 @@ class ProcessPool:
         return f"exit code {code}"
 
     def _after_death(self, job: Job, task: Task, times: int, how: str) -> Outcome | None:
-        """Outcome of a task whose worker died; None when it is to be tried again."""
+        """Return the outcome of a task whose worker died; None when it will be tried again."""
         there = standing(job, task)
         if there is not None and there.state == "kept":
-            return replace(there, state="made")  # just before it died
+            return replace(there, state="made")  # completed just before the worker died
         if times < ATTEMPTS:
             return None
-        text = f"its process died {times} times ({how}); SIGKILL mostly means that memory was short"
+        text = f"its process died {times} times ({how}); the usual reason for SIGKILL is too little memory"
         return fail(job, task, Failure(task.key, "crash", text))
 
     def _stop(self, workers: list[_Worker]) -> None:
@@ -169,11 +170,11 @@ class ProcessPool:
 
 @contextlib.contextmanager
 def _without_interrupts() -> Iterator[None]:
-    """Start processes in the block that never hear of Ctrl-C, which goes to all processes of a terminal."""
-    if not hasattr(signal, "pthread_sigmask"):  # not on every system
+    """Block Ctrl-C for processes started in this context; the terminal sends it to all its processes."""
+    if not hasattr(signal, "pthread_sigmask"):  # missing on some systems
         yield
         return
-    resource_tracker.ensure_running()  # else the first process starts it, which lets Ctrl-C through again
+    resource_tracker.ensure_running()  # else the first process starts it, which unblocks Ctrl-C
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -183,7 +184,7 @@ def _without_interrupts() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _environment(values: dict[str, str]) -> Iterator[None]:
-    """Set variables that processes started in the block are born with."""
+    """Set environment variables for the processes started in this context."""
     before = {name: os.environ.get(name) for name in values}
     os.environ.update(values)
     try:

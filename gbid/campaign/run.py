@@ -1,4 +1,4 @@
-"""Run a campaign, or what is left of it."""
+"""Run of a campaign, from the start or after an interruption."""
 
 from __future__ import annotations
 
@@ -30,29 +30,32 @@ def working(
     scheduler: str | None = None,
     shared: bool = False,
 ) -> Iterator[Job]:
-    """Hold the results folder of an experiment and give the job to run in it.
+    """Return a context that locks the results folder of an experiment and gives the job to run in it.
 
-    At the beginning and at the end, temporary files that killed processes left are removed.
+    At its beginning and end, temporary files of killed processes are removed.
 
     Parameters
     ----------
     experiment : Experiment
+        The experiment to run.
     overwrite, retry : bool
-        As in `gbid.experiment.run.job.Job`.
+        Options of `gbid.experiment.run.job.Job`.
     reporter : Reporter, optional
+        Receiver of the progress; none by default.
     engine, workers, scheduler
-        As in `gbid.campaign.engines.make_engine`.
+        Options of `gbid.campaign.engines.make_engine`.
     shared : bool
-        Whether other shards may work in the folder as well.
+        Whether other shards may use the folder at the same time.
 
     Yields
     ------
     Job
+        The job, with its engine.
 
     Raises
     ------
     UsageError
-        When another runner holds the folder, or for options of the engine.
+        When another runner has locked the folder, or an option of the engine is wrong.
     DataError
         When the folder cannot be written.
     """
@@ -67,26 +70,26 @@ def working(
 
 
 def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
-    """Make the recordings, prefilter and fit them, as far as the experiment asks for it and it is not done.
+    """Make, prefilter and fit the recordings of an experiment, except for results that are current.
 
     Parameters
     ----------
     job : Job
-        From `working`.
+        Job from `working`.
     shard : Shard, optional
-        The part of the campaign to run.
+        Part of the campaign to run; all of it by default.
 
     Returns
     -------
     list of Outcome
-        Of all results, those that were there included.
+        Outcomes of all results, with those that existed already.
 
     Raises
     ------
     UsageError
-        When a result made from other settings is there and may not be replaced, before any work is done.
+        When a result made from other settings exists and must not be replaced. No task has run then.
     NoSpaceError
-        When the disk is full; what is complete is kept.
+        When the disk is full; complete results are kept.
     """
     outcomes: list[Outcome] = []
     failed: dict[str, Outcome] = {}  # by recording
@@ -103,10 +106,10 @@ def run_campaign(job: Job, shard: Shard | None = None) -> list[Outcome]:
 
 
 def _without_input(task: Task, failed: Mapping[str, Outcome]) -> Outcome | None:
-    """Outcome of a task whose recording could not be made; None when it has all that it needs."""
+    """Return a failed outcome for a task whose recording failed; None for other tasks."""
     for name in task.recordings:
         if name in failed:
             source = failed[name]
-            text = f"nothing to start from: {source.stage} {source.item} failed"
+            text = f"its input is missing: {source.stage} {source.item} failed"
             return Outcome(task.stage, task.item, task.path, "failed", text, cause="input")
     return None

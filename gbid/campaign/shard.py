@@ -1,4 +1,4 @@
-"""A part of a campaign for each job of an array, with no scheduler between them."""
+"""Shards: parts of a campaign for the jobs of an array, without a scheduler between them."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from gbid.experiment.run.job import Task
 
 @dataclass(frozen=True)
 class Shard:
-    """Part `number` of `count`, counted from one."""
+    """Part `number` of `count` parts, counted from one."""
 
     number: int
     count: int
 
 
 def read_shard(text: str) -> Shard:
-    """Read ``i/n``.
+    """Return the shard of a text ``i/n``.
 
     Raises
     ------
     UsageError
-        When it is something else, or i is not within 1 to n.
+        When the text has another form, or i is not within 1 to n.
     """
     found = re.fullmatch(r"(\d+)/(\d+)", text)
     if not found or not 1 <= int(found[1]) <= int(found[2]):
@@ -34,22 +34,25 @@ def read_shard(text: str) -> Shard:
 
 
 def tasks_of(shard: Shard | None, experiment: Experiment, tasks: Sequence[Task]) -> list[Task]:
-    """Tasks of a shard: its share of the recordings, fits of these, and the stationary recordings that they need.
+    """Return the tasks of a shard: its recordings, their fits, and the stationary recordings that these need.
 
     Excited recordings are dealt out in turn, then staircases, hammer runs and run-ups. A stationary recording is made
-    by each shard that needs it, always the same. What needs recordings of several shards, a fit to all of them or the
-    map of an operating point, is left to a run without shards.
+    by each shard that needs it, and is always the same. Tasks that need recordings of several shards, such as a fit to
+    all of them or the map of an operating point, are left to a run without shards.
 
     Parameters
     ----------
     shard : Shard or None
-        None for all tasks.
+        The shard; None for all tasks.
     experiment : Experiment
+        The experiment.
     tasks : sequence of Task
+        Tasks of one stage.
 
     Returns
     -------
     list of Task
+        The tasks of the shard, in their order.
     """
     if shard is None:
         return list(tasks)

@@ -1,4 +1,4 @@
-"""What travels to another process: the job without positions and reporter, and a task as it is run there."""
+"""Forms of job and task for other processes: without positions and reporter, with absolute paths."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from gbid.yaml_file import YamlFile
 
 
 def bare_job(job: Job) -> Job:
-    """Return the job as workers need it: absolute paths, no positions in the YAML, nobody to report to."""
+    """Return the job for worker processes: absolute paths, no positions in the YAML, no reporter."""
     experiment = job.experiment
     file = YamlFile(experiment.file.path.resolve(), {}, CommentedMap())
     there = replace(experiment, file=file, results=experiment.results.resolve())
-    vars(there)["recordings"] = experiment.recordings  # found once: a folder may have other files by now
+    vars(there)["recordings"] = experiment.recordings  # searched once: the files of a folder may change
     return Job(there, job.overwrite, retry=job.retry)
 
 
@@ -29,13 +29,13 @@ def bare_task(task: Task) -> Task:
 
 
 def attempt(job: Job, task: Task) -> Outcome | str:
-    """Run a task in a worker.
+    """Run a task in a worker and return its outcome.
 
     Returns
     -------
     Outcome or str
-        The text of the error when no space is left. A result that a worker finished just before it died counts as
-        made.
+        Outcome, or the text of the error when the disk is full. A result that a worker completed just before it died
+        counts as made.
     """
     if task.path.exists():
         there = standing(job, task)

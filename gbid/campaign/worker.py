@@ -1,4 +1,4 @@
-"""The process of a worker: it runs tasks that come through a pipe."""
+"""Worker process: it runs the tasks that it receives through a pipe."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ READY = "ready"
 def serve(connection: Connection) -> None:
     """Run tasks until the pipe is closed.
 
-    A message is a job (pickled), which holds for the tasks that follow, or the number of a task and the task. The
-    answer to a task is its number and what `gbid.campaign.shipping.attempt` gives. Ctrl-C is left to the runner,
-    which ends its workers.
+    A message is a job (pickled), which is used for the following tasks, or a task with its number. The worker answers a
+    task with its number and the result of `gbid.campaign.shipping.attempt`. It ignores Ctrl-C, because the runner stops
+    its workers.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from gbid.campaign.shipping import attempt  # imports everything: once, before the first task
+    from gbid.campaign.shipping import attempt  # imports all packages, once, before the first task
 
     connection.send(READY)
     job = None
@@ -30,5 +30,5 @@ def serve(connection: Connection) -> None:
                 number, task = message
                 assert job is not None
                 connection.send((number, attempt(job, task)))
-    except (EOFError, OSError):  # the runner is gone
+    except (EOFError, OSError):  # the runner has ended
         return

@@ -1,1 +1,1 @@
-"""The command line: one small file per verb, which parses, calls and prints."""
+"""Command line: one small module per verb, which reads the options, calls the library and prints."""

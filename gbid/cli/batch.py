@@ -1,4 +1,4 @@
-"""`gbid batch`: recordings, prefilter and fits of a campaign on all processors, and the table of the fits."""
+"""`gbid batch`: recordings, prefilter and fits of a campaign on all processors, with the table of the fits."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def batch(
         str | None, typer.Option("--shard", metavar="I/N", help="Run part I of N only, as a job of an array.")
     ] = None,
     retry: Retry = False,
-    collect: Annotated[bool, typer.Option("--collect", help="Run nothing; make the table of what is there.")] = False,
+    collect: Annotated[bool, typer.Option("--collect", help="Run nothing; make the table of existing fits.")] = False,
     results: Results = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
@@ -45,7 +45,7 @@ def batch(
             raise UsageError("--collect runs nothing; leave --shard, --retry, --engine, --workers and --scheduler out")
         loaded = load_experiment(experiment, results)
         if not loaded.spec.fits:
-            raise UsageError(f"{experiment}: no section 'fits', so there is nothing to do; add one")
+            raise UsageError(f"{experiment}: no section 'fits'; add one")
         with (
             reporting() as reporter,
             working(

@@ -1,4 +1,4 @@
-"""`gbid check`: what is wrong with an experiment, before anything runs."""
+"""`gbid check`: problems of an experiment, found before a run."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from gbid.cli.options import AsJson, Debug, ExperimentPath, Results
 def check(
     experiment: ExperimentPath,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Look at files, lengths and clocks only, not at what the signals do.")
+        bool, typer.Option("--quick", help="Check files, lengths and sample times only, not the signals.")
     ] = False,
     results: Results = None,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Check an experiment YAML, the data that it imports and the room for its results; all problems at once."""
+    """Check an experiment YAML, the data that it imports and the disk space for its results; report all problems."""
     with guarded(as_json, debug):
         from gbid.cli.printing import print_json
         from gbid.experiment.data_checks import find_data_problems, size
@@ -28,9 +28,9 @@ def check(
 
         loaded = load_experiment(experiment, results)
         problems, code, (needed, free) = find_data_problems(loaded)
-        told = "\n".join(problems)
+        reported = "\n".join(problems)
         for planned, text, own in find_import_problems(loaded) if not quick else ():
-            if text not in told:
+            if text not in reported:
                 problems.append(f"{loaded.file.position(planned.location)}: {text}")
                 code = max(code, own)
         for text in problems:

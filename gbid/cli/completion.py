@@ -1,4 +1,4 @@
-"""What the shell offers after TAB: the YAML files that are there, and folders to go into."""
+"""Shell completion: YAML files and folders."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 def files_ending(*endings: str) -> Callable[[str], list[str]]:
-    """Give a function that completes the beginning of a path by files with one of the endings, and folders."""
+    """Return a function that completes the beginning of a path by folders and files with one of the endings."""
 
     def complete(incomplete: str) -> list[str]:
         written, slash, begun = incomplete.rpartition("/")

@@ -1,4 +1,4 @@
-"""What verbs print, as plain documents."""
+"""Documents that verbs print: plain values of their results."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from gbid.validate import load_validation_summary
 
 
 def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe recordings that were made or imported; those that failed are left out."""
+    """Return documents of recordings that were made or imported; failed ones are left out."""
     documents = []
     for outcome in outcomes:
         if outcome.stage in ("rig", "import") and outcome.state != "failed":
@@ -58,13 +58,13 @@ def recording_documents(experiment: Experiment, outcomes: Sequence[Outcome]) -> 
 
 
 def prefilter_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe what the prefilter took out, from the files with the maps."""
+    """Return documents of the corrections by the prefilter, from the files with the maps."""
     maps = [o.path for o in outcomes if o.stage == "prefilter" and o.item.startswith("map ") and o.state != "failed"]
     return [row for path in maps for row in prefilter_rows(load_prefilter(path)[1])]
 
 
 def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Results of the fits, with the rig's truth where there is one; those that failed are left out."""
+    """Return documents of the fits, with true values for those of the rig; failed ones are left out."""
     documents = []
     for outcome in outcomes:
         if outcome.stage == "fit" and outcome.state != "failed":
@@ -80,7 +80,7 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]
 def campaign_document(
     experiment: Experiment, outcomes: Sequence[Outcome], table: FitTable | None = None
 ) -> dict[str, Any]:
-    """Sum up a campaign: the stages by state, the fits by name, and what failed."""
+    """Return a summary of a campaign: states of the stages, fits by name, and the files of the table."""
     stages: dict[str, dict[str, int]] = {}
     for outcome in outcomes:
         if outcome.stage != "table":
@@ -97,7 +97,7 @@ def campaign_document(
 
 
 def _fit_of_campaign(table: FitTable, name: str) -> dict[str, Any]:
-    """How the fits of one name came out, and the worst of them."""
+    """Return numbers of converged and missing fits of one name, their median fit percent, and the worst fit."""
     rows = table.select(fit=name)
     there = np.isfinite(rows.fit_percent).any(axis=1)
     smallest = rows.fit_percent[there].min(axis=1, initial=np.inf)
@@ -117,7 +117,7 @@ def _fit_of_campaign(table: FitTable, name: str) -> dict[str, Any]:
 
 
 def summary_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Summaries of the cross-validations, histograms included."""
+    """Return summaries of the cross-validations, with histograms."""
     documents = []
     for outcome in outcomes:
         if outcome.stage == "crossval" and outcome.path.suffix == ".h5" and outcome.state != "failed":
@@ -128,7 +128,7 @@ def summary_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def static_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe static characterisations; those that failed are left out."""
+    """Return documents of the static characterisations; failed ones are left out."""
     there = {o.item: o for o in outcomes if o.stage == "static" and o.state != "failed" and o.path.suffix == ".h5"}
     return [
         {**static_document(name, load_made_static(job, name)), "state": o.state, "path": str(o.path)}
@@ -137,7 +137,7 @@ def static_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
 
 
 def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe impact studies; those that failed are left out."""
+    """Return documents of the impact studies; failed ones are left out."""
     paths = {o.item: o.path for o in outcomes if o.stage == "ringdown"}
     section, rig = job.experiment.spec.impacts, job.experiment.spec.rig
     if section is None or rig is None:
@@ -150,19 +150,19 @@ def impact_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, An
 
 
 def crossval_documents(rows: Sequence[CrossvalRow]) -> list[dict[str, Any]]:
-    """Rows of the cross-validation."""
+    """Return the rows of the cross-validation as plain documents."""
     return [{**asdict(row), "missed": row.missed} for row in rows]
 
 
 def validation_documents(job: Job, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Rows and summaries of the cross-validations."""
+    """Return rows and summaries of the cross-validations."""
     made = any(o.stage == "crossval" and o.state != "failed" for o in outcomes)
     rows = crossval_documents(crossval_rows(job)) if made else []
     return {"crossval": rows, "crossval_summary": summary_documents(outcomes)}
 
 
 def nominal_document_of(job: Job, outcomes: Sequence[Outcome]) -> dict[str, Any] | None:
-    """Describe the nominal actuator; None when there is none."""
+    """Return the document of the nominal actuator; None when there is none."""
     for outcome in outcomes:
         if outcome.stage == "nominal" and outcome.state != "failed":
             nominal, _ = nominal_of(job)
@@ -171,10 +171,10 @@ def nominal_document_of(job: Job, outcomes: Sequence[Outcome]) -> dict[str, Any]
 
 
 def surface_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe surfaces; those that failed are left out."""
+    """Return documents of the surfaces; failed ones are left out."""
     return lpv_documents(job.experiment, [o for o in outcomes if o.stage == "lpv"], made_surfaces(outcomes))
 
 
 def design_documents(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Describe tuned designs; those that failed are left out."""
+    """Return documents of the tuned designs; failed ones are left out."""
     return tuning_documents(outcomes, made_designs(outcomes))

@@ -1,4 +1,4 @@
-"""The exit code of a verb that ran through, and what it says about items that did not come out."""
+"""Exit code of a verb, and its messages about failed items."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ import typer
 from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.experiment.run.outcome import Outcome
 
-_MISSED = 20  # pairs below the minimum that are named
-_IDLE = 20  # items without input that are named
+_MISSED = 20  # largest number of pairs below the minimum that are listed
+_IDLE = 20  # largest number of items without input that are listed
 
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
-    """Outcomes as plain rows."""
+    """Return outcomes as plain rows."""
     return [
         {
             "stage": o.stage,
@@ -33,13 +33,14 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = ()) -> None:
-    """List what failed on standard error and end with the exit code: the lowest that holds, or 0.
+    """List failed items on standard error and end with the exit code: the lowest that applies, or 0.
 
     Parameters
     ----------
     outcomes : sequence of Outcome
+        Outcomes of the verb.
     validated : sequence of dict
-        Documents of the rows of cross-validations.
+        Rows of cross-validations as documents.
     """
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
@@ -47,22 +48,22 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     idle = [o for o in failed if o.cause == "input"]
     if len(idle) > _IDLE:
         for stage, count in Counter(o.stage for o in idle).items():
-            typer.echo(f"gbid: error: {stage}: {count} items had nothing to start from; see what failed", err=True)
+            typer.echo(f"gbid: error: {stage}: the input of {count} items is missing; see the failures", err=True)
     for o in failed if len(idle) <= _IDLE else [o for o in failed if o.cause != "input"]:
         word = "defect" if o.cause == "defect" else "error"
-        again = " (failed before; --retry tries again)" if o.before else ""
+        again = " (failed in an earlier run; use --retry to try again)" if o.before else ""
         typer.echo(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}", err=True)
     for o in stuck:
         typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})", err=True)
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
         typer.echo(
             f"gbid: error: crossval {row['fit']}: model of {row['model']} on {row['recording']}: "
-            f"{row['output']} {row['fit_percent']:.2f} %, below the {row['minimum_percent']:g} % asked for; "
+            f"{row['output']} {row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %; "
             "look at its figures (`residuals: true`), or lower minimum_percent",
             err=True,
         )
     if len(missed) > _MISSED:
-        typer.echo(f"gbid: error: crossval: {len(missed)} below the minimum in all; these were the worst", err=True)
+        typer.echo(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed", err=True)
     causes = {o.cause for o in failed}
     for cause, code in (("defect", GbidError.exit_code), ("usage", UsageError.exit_code)):
         if cause in causes:

@@ -1,4 +1,4 @@
-"""What `gbid export` finds to write, and the files that it writes."""
+"""Models that `gbid export` finds, and the files that it writes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _N_FREQUENCIES = 400
 
 @dataclass(frozen=True)
 class Exports:
-    """Models by the names that their files get, where the files go, and what could not be taken."""
+    """Models by the names of their files, the folder of the files, and reasons for models that are left out."""
 
     items: dict[str, Exportable]
     folder: Path
@@ -32,12 +32,13 @@ class Exports:
 
 
 def find_exportable(source: str, at: tuple[float, float] | None, results: Path | None) -> Exports:
-    """Find the models behind an experiment, model file, model name or fit.
+    """Return the models of an experiment, model file, model name or fit.
 
     Raises
     ------
     UsageError
-        When the source is neither, `at` is given for something else than an LPV model, or a file is broken.
+        When the source is of no such kind, when `at` is given for another source than an LPV model, or when a file is
+        faulty.
     DataError
         When the experiment has no models yet.
     """
@@ -53,12 +54,12 @@ def find_exportable(source: str, at: tuple[float, float] | None, results: Path |
 
 
 def write_files(what: Exportable, name: str, to: str, folder: Path, overwrite: bool) -> list[Path]:
-    """Write one model; see `gbid.interchange`.
+    """Write one model and return the files; see `gbid.interchange`.
 
     Raises
     ------
     UsageError
-        When a file is there and `overwrite` is not set.
+        When a file exists and `overwrite` is not set.
     """
     if to == "mat":
         return save_mat(what, folder / f"{name}.mat", overwrite=overwrite)
@@ -118,6 +119,6 @@ def _refuse_at(at: tuple[float, float] | None, source: str) -> None:
 
 
 def _matlab_name(text: str) -> str:
-    """Return a name that MATLAB takes for a function, too."""
+    """Return a name that is also valid for a MATLAB function."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
     return (name if name[:1].isalpha() else f"m_{name}")[:50]

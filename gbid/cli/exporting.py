@@ -14,7 +14,7 @@ from gbid.cli.options import AsJson, Debug, Results
 
 
 class ExportKind(StrEnum):
-    """What to write."""
+    """Format of the files."""
 
     mat = "mat"
     csv = "csv"
@@ -44,7 +44,7 @@ def export(
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a model."),
     ] = None,
     results: Results = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace files that are there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""`gbid figures`: the figures and tables of the paper, from an experiment's results."""
+"""`gbid figures`: the figures and tables of the paper, from the results of an experiment."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`gbid fit`: prefilter, then fit."""
+"""`gbid fit`: prefilter and fits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def fit(
 ) -> None:
     """Prefilter the recordings, if the YAML says so, and run the fits."""
     with guarded(as_json, debug):
-        from gbid.cli.stages import opened, tell
+        from gbid.cli.stages import opened, print_outcomes
         from gbid.errors import UsageError
         from gbid.experiment.problems import nearest
         from gbid.experiment.run.perform import run_tasks
@@ -37,4 +37,4 @@ def fit(
             if only is not None and only not in fits:
                 raise UsageError(f"--only {only}: no such fit; {nearest(only, fits)}")
             outcomes = [*run_stage(job, PREFILTER), *run_tasks(job, fit_tasks(job, only))]
-        tell(job, [PREFILTER, FIT], outcomes, as_json)
+        print_outcomes(job, [PREFILTER, FIT], outcomes, as_json)

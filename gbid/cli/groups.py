@@ -1,4 +1,4 @@
-"""The overview of `gbid --help`: verbs in groups, and examples that can be copied."""
+"""Overview of `gbid --help`: verbs in groups, and examples to copy."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from typer.core import TyperGroup
 
 START, DATA, IDENTIFY, CONTROL, REPORT = "Start", "Data", "Identify", "Control", "Report"
 GROUPS = (START, DATA, IDENTIFY, CONTROL, REPORT)
-"""Groups in the order of the work; a verb names its own as `rich_help_panel`."""
+"""Groups in the order of the work; a verb names its group as `rich_help_panel`."""
 
 
 class GroupedCommands(TyperGroup):
-    """Lists the verbs by group, each with its whole first sentence."""
+    """Command group that lists the verbs by group, each with its whole first sentence."""
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
-        """Write the groups in their order; verbs without one come last."""
+        """Write the groups in their order; verbs without group come last."""
         rows: dict[str, list[tuple[str, str]]] = {group: [] for group in GROUPS}
         for name in self.list_commands(ctx):
             command = self.get_command(ctx, name)
@@ -31,5 +31,5 @@ class GroupedCommands(TyperGroup):
 
 
 def examples(*lines: str) -> str:
-    """Epilog with command lines, one under the other as they are."""
+    """Return an epilog with command lines, one per line."""
     return "\n".join(["\b", "Examples:", *(f"  {line}" for line in lines)])

@@ -1,4 +1,4 @@
-"""How a verb ends: errors become one line each on standard error, and an exit code."""
+"""End of a verb: each error is one line on standard error, with an exit code."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from gbid.cli.printing import print_json
 from gbid.errors import GbidError
 
 INTERRUPTED = 130
-_INTERRUPTED = ["interrupted; what was complete is kept"]
+_INTERRUPTED = ["interrupted; complete results are kept"]
 
 
 @contextmanager
 def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
-    """Run the body of a verb.
+    """Return a context for the body of a verb, which turns errors into messages and exit codes.
 
     Parameters
     ----------
     as_json : bool
-        Whether an error is also told as the JSON document on standard output.
+        Whether an error is also printed as the JSON document on standard output.
     debug : bool
         Whether the traceback is shown.
     """

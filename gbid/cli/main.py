@@ -1,4 +1,4 @@
-"""The command `gbid`. Verbs import what they need when they are called, so that help comes at once."""
+"""Command `gbid`. Verbs import their modules when they are called, so that help appears at once."""
 
 from __future__ import annotations
 

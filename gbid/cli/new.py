@@ -1,4 +1,4 @@
-"""`gbid new`: an experiment to start from."""
+"""`gbid new`: a new experiment from a template."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.cli.options import Debug
 
 
 class Template(StrEnum):
-    """What to start from."""
+    """Templates of experiments."""
 
     quickstart = "quickstart"
     own_recordings = "own-recordings"
@@ -23,7 +23,7 @@ ABOUT = {
     Template.quickstart: "the virtual rig at one operating point: recordings, prefilter, fits, validation, figures",
     Template.own_recordings: "example data in csv and a structure in Python, to be replaced by your own",
 }
-"""What each template holds."""
+"""Contents of each template."""
 
 
 def _print_templates(wanted: bool) -> None:
@@ -36,7 +36,7 @@ def _print_templates(wanted: bool) -> None:
 def new(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A new or empty folder.", show_default=False)],
     template: Annotated[
-        Template, typer.Option("--template", help="What to start from; --list tells what they hold.")
+        Template, typer.Option("--template", help="Template; --list shows what each contains.")
     ] = Template.quickstart,
     _list: Annotated[
         bool, typer.Option("--list", callback=_print_templates, is_eager=True, help="List the templates and exit.")
@@ -52,6 +52,6 @@ def new(
         experiment = folder / "experiment.yaml"
         for line in (
             f"next: gbid run {experiment}",
-            f"then: change {experiment} and look at it with gbid check {experiment}",
+            f"then: change {experiment} and check it with gbid check {experiment}",
         ):
             typer.echo(line, err=True)

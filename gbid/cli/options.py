@@ -1,4 +1,4 @@
-"""Arguments and options that verbs share."""
+"""Arguments and options of several verbs."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ExperimentPath = Annotated[
 ]
 Results = Annotated[
     Path | None,
-    typer.Option("--results", metavar="DIR", help="Folder of the results, in place of the one in the YAML."),
+    typer.Option("--results", metavar="DIR", help="Folder of the results, instead of the one in the YAML."),
 ]
 Overwrite = Annotated[
     bool, typer.Option("--overwrite", help="Replace results that were made with other settings or data.")
@@ -33,6 +33,6 @@ Engine = Annotated[
 Workers = Annotated[
     int | None, typer.Option("--workers", metavar="N", help="Number of processes; all processors when not given.")
 ]
-Retry = Annotated[bool, typer.Option("--retry", help="Try again what failed before with the same settings and data.")]
+Retry = Annotated[bool, typer.Option("--retry", help="Try failed items with the same settings and data again.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

@@ -1,4 +1,4 @@
-"""Data on standard output: rich tables for people, one JSON document for programs."""
+"""Printing on standard output: rich tables for people, one JSON document for programs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def print_json(document: Mapping[str, Any]) -> None:
 
 
 def print_tables(*tables: Table) -> None:
-    """Print tables, an empty line below each; into a pipe with room enough that nothing is cut."""
+    """Print tables, an empty line below each; into a pipe with a width at which no cell is cut."""
     from rich.console import Console
 
     from gbid.tables.terminal import terminal_table

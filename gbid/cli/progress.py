@@ -1,4 +1,4 @@
-"""Progress on standard error: a living line on a terminal, sparse plain lines otherwise."""
+"""Progress on standard error: an updated line on a terminal, a few plain lines otherwise."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ SEARCH_PAUSE = 2.0
 
 @contextmanager
 def reporting() -> Iterator[Reporter]:
-    """Give the reporter that suits standard error."""
+    """Return a context that gives the reporter for standard error."""
     if not sys.stderr.isatty():
         yield PlainReporter()
         return
@@ -41,19 +41,19 @@ def reporting() -> Iterator[Reporter]:
 
 
 class PlainReporter:
-    """Lines for a log: one per result and one per so many iterations; of many results one now and then."""
+    """Reporter for logs: one line per result and per ten iterations; for many results, a line at intervals."""
 
     def __init__(self) -> None:
         self._line, self._tally, self._said, self._searched = _Line(), Tally(), 0.0, 0.0
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Say how much there is to do, when it is much."""
+        """Print the numbers of items when there are many."""
         self._tally, self._said = Tally(stage, todo, there, failed), time.monotonic()
         if self._tally.many:
             _print(self._tally.opening())
 
     def begin(self, stage: str, item: str) -> None:
-        """Remember what the iterations belong to."""
+        """Store the item to which the iterations belong."""
         self._line = _Line(f"{stage} {item}")
         self._tally.begin(stage, item)
 
@@ -64,14 +64,14 @@ class PlainReporter:
             _print(text)
 
     def search(self, step: SearchStep) -> None:
-        """Print a step now and then."""
+        """Print a step of the search, at intervals."""
         now = time.monotonic()
         if now - self._searched > SEARCH_PAUSE and not self._tally.many:
             self._searched = now
             _print(self._line.of_search(step))
 
     def end(self, outcome: Outcome) -> None:
-        """Print what became of the item; of one among many only that it failed."""
+        """Print the outcome of an item; for many items only failures."""
         tally = self._tally
         tally.end(outcome)
         if tally.is_named(outcome):
@@ -85,25 +85,25 @@ class PlainReporter:
 
 
 class TerminalReporter:
-    """One line that shows the present item and iteration, above it what is done; of many results their count."""
+    """Reporter for terminals: one line shows the present item and iteration, above it the finished items."""
 
     def __init__(self, console: Any, status: Any) -> None:
         self._console, self._status, self._line, self._tally = console, status, _Line(), Tally()
 
     def expect(self, stage: str, todo: int, there: int, failed: int) -> None:
-        """Say how much there is to do, when it is much."""
+        """Print the numbers of items when there are many."""
         self._tally = Tally(stage, todo, there, failed)
         if self._tally.many:
             self._console.print(self._tally.opening(), markup=False, soft_wrap=True)
 
     def begin(self, stage: str, item: str) -> None:
-        """Show what is being done."""
+        """Show the present item."""
         self._line = _Line(item)  # without the stage, so that an iteration has room on a line of 80
         self._tally.begin(stage, item)
         if not self._tally.many:
             self._status.update(f"{stage} {item}")
         elif self._tally.running == 1 or not self._tally.done:
-            self._status.update(self._tally.text())  # else after the outcome that made room for it, which follows
+            self._status.update(self._tally.text())  # else after the outcome of the previous item, which follows
 
     def iteration(self, progress: Progress) -> None:
         """Show the iteration."""
@@ -117,7 +117,7 @@ class TerminalReporter:
             self._status.update(self._line.of_search(step))
 
     def end(self, outcome: Outcome) -> None:
-        """Leave a line with what became of the item; of one among many only when it failed."""
+        """Print the outcome of an item; for many items only failures."""
         tally = self._tally
         tally.end(outcome)
         counted = tally.many and outcome.stage == tally.stage
@@ -130,13 +130,13 @@ class TerminalReporter:
 
 
 class _Line:
-    """The progress of one item; a fit may be tried from several starts or with several windows."""
+    """Progress of one item; a fit may be tried from several starts or with several windows."""
 
     def __init__(self, label: str = "") -> None:
         self.label, self._tries = label, 0
 
     def of(self, progress: Progress) -> str:
-        """Say where the solver is."""
+        """Return iteration, cost and step of the solver as text."""
         self._tries += progress.iteration == 0
         which = f", try {self._tries}" if self._tries > 1 else ""
         step = f", step {progress.sigma:.1g} std" if math.isfinite(progress.sigma) else ""
@@ -144,7 +144,7 @@ class _Line:
         return f"{self.label}{which}: {where}{step}"
 
     def of_search(self, step: SearchStep) -> str:
-        """Say how far a search for gains has come."""
+        """Return stage and best value of a search for gains as text."""
         excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
         return f"{self.label}: {step.stage}, {step.count} designs, best {step.value:.5g}{excess}"
 

@@ -1,4 +1,4 @@
-"""`gbid report`: one HTML file on the results that are there."""
+"""`gbid report`: one HTML file with the existing results."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ def report(
     experiment: ExperimentPath,
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="FILE", help="The file; report.html among the results when left out."),
+        typer.Option("--output", metavar="FILE", help="The file; by default report.html in the results."),
     ] = None,
     results: Results = None,
     overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write the report anew, also over a file that is none of gbid.")
+        bool, typer.Option("--overwrite", help="Replace the report, also a file that gbid did not write.")
     ] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Write one self-contained HTML file on the results that are there; nothing else is made."""
+    """Write one self-contained HTML file with the existing results; nothing else is computed."""
     with guarded(as_json, debug):
         from gbid.cli.ending import finish, outcome_rows
         from gbid.cli.printing import print_json
@@ -36,7 +36,7 @@ def report(
 
         loaded = load_experiment(experiment, results)
         if not loaded.results.is_dir():
-            raise UsageError(f"{loaded.results}: no results yet; `gbid run {experiment}` makes them")
+            raise UsageError(f"{loaded.results}: no results yet; run `gbid run {experiment}` first")
         with reporting() as reporter:
             outcome = write_report(Job(loaded, overwrite, reporter), output)
         if as_json:

@@ -1,4 +1,4 @@
-"""`gbid reproduce`: the paper's figures beside those of an experiment on its machine."""
+"""`gbid reproduce`: comparison of an experiment with the figures of the paper."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ def reproduce(
     experiment: ExperimentPath,
     results: Results = None,
     output: Annotated[
-        Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows there, as JSON.")
+        Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows to this file, as JSON.")
     ] = None,
     overwrite: Overwrite = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Put the paper's figures beside ours, row by row: deviation, the paper's own scatter, and why ours is off."""
+    """Compare our results with those of the paper, row by row: deviation, scatter in the paper, and reasons."""
     with guarded(as_json, debug):
         import json
 

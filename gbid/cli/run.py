@@ -1,4 +1,4 @@
-"""`gbid run`: every stage that the YAML names; what is already there is kept."""
+"""`gbid run`: all stages that the YAML names; current results are kept."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def run(
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Run all stages that an experiment names, from recordings to the report; what is there already is skipped."""
+    """Run all stages that an experiment names, from recordings to the report; current results are kept."""
     with guarded(as_json, debug):
         import typer
 

@@ -1,4 +1,4 @@
-"""`gbid schema`: what an experiment YAML may say, for editors."""
+"""`gbid schema`: JSON schema of the experiment YAML, for editors."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from gbid.cli.options import Debug, Overwrite
 def schema(
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="FILE", help="Write it to a file, in place of standard output."),
+        typer.Option("--output", "-o", metavar="FILE", help="Write it to a file instead of standard output."),
     ] = None,
     overwrite: Overwrite = False,
     debug: Debug = False,
 ) -> None:
-    """Print the JSON schema of the experiment YAML, with which an editor completes and checks as you type."""
+    """Print the JSON schema of the experiment YAML; with it an editor completes and checks the keys."""
     with guarded(debug=debug):
         import json
 

@@ -1,4 +1,4 @@
-"""Verbs that run the stages of one section and show what came of it: `gbid rig`, `gbid tune` and so on."""
+"""Verbs that run the stages of one section and print their results: `gbid rig`, `gbid tune` and so on."""
 
 from __future__ import annotations
 
@@ -12,17 +12,18 @@ from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, R
 
 @dataclass(frozen=True)
 class StageVerb:
-    """A verb that runs stages.
+    """Verb that runs stages.
 
     Attributes
     ----------
     name, group, help : str
+        Name, group in the overview, and help text.
     stages : tuple of str
         Names of the stages.
     examples : tuple of str
         Command lines.
     hint : str
-        What else may be done when the YAML has none of their sections.
+        Further advice when the YAML has none of the sections.
     """
 
     name: str
@@ -62,7 +63,7 @@ STAGE_VERBS = (
     StageVerb(
         "lpv",
         IDENTIFY,
-        "Draw surfaces over pressure and speed through the fits; how far recordings lie off them.",
+        "Fit surfaces over pressure and speed to the fits, and show the deviations of the recordings.",
         ("lpv",),
         ("gbid lpv rig1/experiment.yaml", "gbid lpv rig1/experiment.yaml --json"),
     ),
@@ -77,13 +78,13 @@ STAGE_VERBS = (
         "tune",
         CONTROL,
         "Tune controllers: the gains with the most damping within limits, beside the published ones.",
-        ("tune",),
+        "Tune controllers: the gains with the most damping within limits, compared with the published ones.",
         ("gbid tune rig1/experiment.yaml", "gbid tune rig1/experiment.yaml --json > designs.json"),
     ),
     StageVerb(
         "impact",
         CONTROL,
-        "Hit the rig with a hammer, open and closed loop: modes obtained beside those expected, force scaling, fit.",
+        "Hit the rig with a hammer, open and closed loop: identified and expected modes, force scaling, fit.",
         ("impact",),
         ("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
     ),
@@ -91,7 +92,7 @@ STAGE_VERBS = (
 
 
 def command_of(verb: StageVerb) -> Callable[..., None]:
-    """Return the function of a verb, as typer takes it."""
+    """Return the function of a verb for typer."""
 
     def command(
         experiment: ExperimentPath,

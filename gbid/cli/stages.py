@@ -1,4 +1,4 @@
-"""How verbs run stages, and how they tell what came of it."""
+"""Stages of a verb: run them and print their outcomes."""
 
 from __future__ import annotations
 
@@ -22,29 +22,30 @@ from gbid.experiment.stages import registry
 
 @contextmanager
 def opened(path: Path, sections: Sequence[str], results: Path | None, hint: str = "", **options: Any) -> Iterator[Job]:
-    """Load an experiment, hold the folder of its results and give the job to run in it.
+    """Return a context that loads an experiment, locks its results folder and gives the job to run.
 
     Parameters
     ----------
     path : path
         The YAML.
     sections : sequence of str
-        Sections of which the YAML must have one.
+        Sections of which the YAML must have at least one.
     results : path, optional
+        Folder of the results, instead of the folder that the YAML names.
     hint : str
-        What else may be done when it has none of them.
+        Further advice when the YAML has none of the sections.
     **options
-        As in `gbid.campaign.run.working`.
+        Options of `gbid.campaign.run.working`.
 
     Raises
     ------
     UsageError
-        When it has none of the sections.
+        When the YAML has none of the sections.
     """
     experiment = load_experiment(path, results)
     if not any(experiment.file.data.get(section) for section in sections):
         words = " or ".join(repr(section) for section in sections)
-        raise UsageError(f"{path}: no section {words}, so there is nothing to do; add one{hint}")
+        raise UsageError(f"{path}: no section {words}; add one{hint}")
     with reporting() as reporter, working(experiment, reporter=reporter, **options) as job:
         yield job
 
@@ -52,15 +53,15 @@ def opened(path: Path, sections: Sequence[str], results: Path | None, hint: str 
 def run_stages(
     names: Sequence[str], path: Path, results: Path | None, as_json: bool, hint: str = "", **options: Any
 ) -> None:
-    """Run stages by name and tell what they made; the YAML must have the section of one of them."""
+    """Run stages by name and print their results; the YAML must have the section of one of them."""
     stages = [stage for stage in registry.STAGES if stage.name in names]
     with opened(path, [stage.section for stage in stages], results, hint, **options) as job:
         outcomes = [outcome for stage in stages for outcome in run_stage(job, stage)]
-    tell(job, stages, outcomes, as_json)
+    print_outcomes(job, stages, outcomes, as_json)
 
 
-def tell(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome], as_json: bool) -> None:
-    """Print what stages made, and end with the exit code."""
+def print_outcomes(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome], as_json: bool) -> None:
+    """Print the results of stages, and end with the exit code."""
     document: dict[str, Any] = {}
     for stage in stages:
         document |= view_of(stage).document(job, outcomes)

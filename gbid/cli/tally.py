@@ -1,4 +1,4 @@
-"""How far a stage with many items is: done, running, failed, time left, worst fit so far."""
+"""Progress of a stage with many items: done, running, failed, time left, worst fit so far."""
 
 from __future__ import annotations
 
@@ -8,21 +8,22 @@ import time
 from gbid.experiment.run.outcome import Outcome
 
 MANY = 12
-"""With more items than this, progress is a sum and no longer a line for each."""
+"""Largest number of items for which each has a line of its own in the progress."""
 
 
 NAMED = 10
-"""So many failures of a stage with many items are told at once; all of them are listed at the end."""
+"""Largest number of failures of a stage with many items that are printed at once; the end lists all."""
 
 
 class Tally:
-    """Counts the outcomes of one stage.
+    """Counts of the outcomes of one stage.
 
     Parameters
     ----------
     stage : str
+        Name of the stage.
     todo, there, failed : int
-        Items to be made, there already, and failed before.
+        Numbers of items to make, existing, and failed before.
     """
 
     def __init__(self, stage: str = "", todo: int = 0, there: int = 0, failed: int = 0) -> None:
@@ -39,19 +40,19 @@ class Tally:
 
     @property
     def running(self) -> int:
-        """Number of items that are worked on."""
+        """Number of items in progress."""
         return len(self._running)
 
     def begin(self, stage: str, item: str) -> None:
-        """Count an item that work begins on, once however often it is begun."""
+        """Count the start of an item, once also when it starts again."""
         if stage == self.stage:
             self._running.add(item)
 
     def end(self, outcome: Outcome) -> None:
-        """Count what became of an item."""
+        """Count the outcome of an item."""
         if outcome.stage != self.stage:
             return
-        if outcome.item in self._running:  # what was there, failed before or has no input is not to be made
+        if outcome.item in self._running:  # existing and failed items and those without input were not started
             self._running.remove(outcome.item)
             self.done += 1
             self.failed += outcome.state == "failed"
@@ -60,21 +61,21 @@ class Tally:
             self.worst, self.worst_item = outcome.fit_percent, outcome.item
 
     def is_named(self, outcome: Outcome) -> bool:
-        """Whether an outcome gets a line of its own: the first failures of a stage, or all when it has few items."""
+        """Return whether an outcome gets its own line: the first failures of a stage, or all when it has few items."""
         if not self.many or outcome.stage != self.stage:
             return True
-        told = outcome.before or outcome.cause == "input"
-        return outcome.state == "failed" and not told and self.failed <= NAMED
+        listed = outcome.before or outcome.cause == "input"
+        return outcome.state == "failed" and not listed and self.failed <= NAMED
 
     def opening(self) -> str:
-        """Say what there is to do."""
+        """Return the numbers of items to make, existing, and failed before, as text."""
         parts = [f"{self.todo} to make"]
         parts += [f"{self.there} there"] if self.there else []
         parts += [f"{self.before} failed already"] if self.before else []
         return f"{self.stage}: {', '.join(parts)}"
 
     def text(self) -> str:
-        """Say how far the stage is."""
+        """Return the state of the stage as text."""
         parts = [f"{self.stage}: {self.done} of {self.todo} done"]
         parts += [f"{self.running} running"] if self.running else []
         parts += [f"{self.failed} failed"] if self.failed else []

@@ -1,4 +1,4 @@
-"""The experiments that `gbid new` writes."""
+"""Templates of experiments that `gbid new` writes."""
 
 from __future__ import annotations
 
@@ -16,28 +16,30 @@ from gbid.share import share_folder
 from gbid.structure import LinearModel
 
 SCHEMA = "experiment.schema.json"
-"""The schema beside an experiment, with which an editor completes its keys and checks them."""
+"""Name of the schema file beside an experiment; an editor completes and checks keys with it."""
 
 
 def write_template(template: str, folder: Path) -> list[Path]:
-    """Write the files of a template, and the schema for editors, into a new or empty folder; all of them or none.
+    """Write the files of a template and the schema for editors into a new or empty folder: all of them or none.
 
     Parameters
     ----------
     template : {"quickstart", "own-recordings"}
+        Name of the template.
     folder : pathlib.Path
+        Folder to write to.
 
     Returns
     -------
     list of pathlib.Path
-        The files.
+        The files written.
 
     Raises
     ------
     UsageError
-        When the folder is there and not empty.
+        When the folder exists and is not empty.
     DataError
-        When it cannot be written.
+        When the folder cannot be written.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not empty; choose another folder")
@@ -79,13 +81,16 @@ def _add_schema(folder: Path) -> None:
 
 
 def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time: float = 5e-4) -> None:
-    """Write a csv file as a data logger might: a mass on a spring, 40 Hz, damping factor 0.05, driven at random.
+    """Write a CSV file like that of a data logger: a mass on a spring, 40 Hz, damping factor 0.05, random input.
 
     Parameters
     ----------
     path : pathlib.Path
+        The file.
     seed : int
+        Seed of the random numbers.
     n_samples : int
+        Number of samples.
     sample_time : float
         Time between samples [s].
     """

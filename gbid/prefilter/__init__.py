@@ -7,7 +7,7 @@ from typing import Any
 from gbid.prefilter.align import IndexAlignment, align_index
 from gbid.prefilter.compare import RunoutComparison, RunoutTrial, compare_runout
 from gbid.prefilter.identify_runout import identify_runout
-from gbid.prefilter.leftover import Leftover, runout_leftover
+from gbid.prefilter.runout_residual import RunoutResidual, runout_residual
 from gbid.prefilter.median import running_median
 from gbid.prefilter.online import OnlinePrefilter
 from gbid.prefilter.prefilter import PrefilterReport, prefilter
@@ -18,7 +18,7 @@ from gbid.prefilter.spikes import Despiked, remove_spikes
 __all__ = [
     "Despiked",
     "IndexAlignment",
-    "Leftover",
+    "RunoutResidual",
     "OnlinePrefilter",
     "PrefilterReport",
     "RunoutComparison",
@@ -31,7 +31,7 @@ __all__ = [
     "prefilter",
     "remove_spikes",
     "running_median",
-    "runout_leftover",
+    "runout_residual",
     "save_prefilter",
 ]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
-from gbid.recording.quality_answer import find_answer_problems
+from gbid.recording.quality_response import find_response_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.quality_rub import find_rub
 from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
@@ -37,7 +37,7 @@ def find_problems(
     frequent than the next one; and the channel takes more than 16 distinct values.
 
     Recordings of r, u and p with moving piezos get further checks. u and p must respond to the reference, and each
-    axis more to its own reference than to the other (`gbid.recording.quality_answer`). p must not show impacts on the
+    axis more to its own reference than to the other (`gbid.recording.quality_response`). p must not show impacts on the
     bearing (`gbid.recording.quality_rub`). phi must turn without jumps and at the stated speed
     (`gbid.recording.quality_time`). No check needs a model.
 
@@ -103,7 +103,7 @@ def _find_rub(rec: Recording) -> Iterator[SignalProblem]:
 _Finder = tuple[tuple[str, ...], tuple[ProblemKind, ...], Callable[[Recording], Iterator[SignalProblem]]]
 # For each check: the signals it concerns (none: the whole recording), the kinds of problems, and the function.
 _FINDERS: tuple[_Finder, ...] = (
-    (("r", "u", "p"), ("dead", "swapped"), find_answer_problems),
+    (("r", "u", "p"), ("dead", "swapped"), find_response_problems),
     (("p",), ("rub",), _find_rub),
     (("phi",), ("encoder",), find_encoder_faults),
     ((), ("sample_time",), find_clock_problems),

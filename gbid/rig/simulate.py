@@ -194,7 +194,7 @@ def record(
         if isinstance(machine.actuator, ActuatorTruth):
             raise UsageError("stacks: this machine has linear actuators; give it PiezoStacks")
         signals |= {"y_p": motion.stacks[logged], "v": motion.volts[logged]}
-        signals["r_p"] = _stack_references(experiment, motion.told[logged])
+        signals["r_p"] = _stack_references(experiment, motion.commands[logged])
     touched = spans(time[logged], motion.radius[logged] >= machine.clearance, sample_time)
     ended = {str(i + 1): spans(time[logged], motion.ended[logged, i] > 0, sample_time) for i in range(4)}
     recording = Recording(

@@ -1,1 +1,1 @@
-"""Tables: one value of columns and rows, and its renderers for terminal, HTML, Markdown and CSV."""
+"""Tables: values in columns and rows, and renderers for terminal, HTML, Markdown and CSV."""

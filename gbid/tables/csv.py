@@ -1,4 +1,4 @@
-"""CSV renderer of tables: numbers with all their digits, for programs and spreadsheets."""
+"""CSV renderer of tables: numbers with all digits, for programs and spreadsheets."""
 
 from __future__ import annotations
 
@@ -8,19 +8,25 @@ from pathlib import Path
 
 from gbid.tables.table import Table, Value, value_of
 
-_QUOTED = re.compile(r'[,"\r\n]|^#')  # a first cell with # would be taken for a comment
+_QUOTED = re.compile(r'[,"\r\n]|^#')  # a first cell with # would be read as a comment
 
 
 def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
-    """Text of a CSV file: notes and comments in lines that begin with #, the headings, the rows.
+    """Return the text of a CSV file: notes and comments in lines that begin with #, the headings, the rows.
 
-    Numbers are written so that they are read back bit for bit. An empty cell is a value that is missing.
+    Numbers are written with all digits, so that they are read back exactly. An empty cell is a missing value.
 
     Parameters
     ----------
     table : Table
+        The table.
     comments : sequence of str
-        Further lines below the notes.
+        Further comment lines below the notes.
+
+    Returns
+    -------
+    str
+        Text of the file.
     """
     lines = [f"# {' '.join(comment.split())}" for comment in (*table.notes, *comments)]
     lines.append(_line(column.heading for column in table.columns))

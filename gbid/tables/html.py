@@ -1,4 +1,4 @@
-"""HTML renderer of tables, with the markup that the page's style and readers of the screen need."""
+"""HTML renderer of tables, with markup for the style of the page and for screen readers."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from gbid.tables.table import Cell, Column, Entry, Table
 
 
 def html_table(table: Table) -> str:
-    """HTML of a table; the first cell of a row is its heading. Texts are escaped."""
+    """Return the HTML of a table; the first cell of a row is its heading. Texts are escaped."""
     title = escape(table.title)
     heads = "".join(
         f'<th scope="col"{_left(column.left or i == 0)}>{escape(column.heading)}</th>'

@@ -7,12 +7,12 @@ from collections.abc import Iterable
 
 from gbid.tables.table import Table
 
-# What has a meaning in Markdown. An underscore inside a name has none.
+# Characters with a meaning in Markdown. An underscore inside a name has none.
 _SPECIAL = re.compile(r"[\\|`*<&]|(?<![A-Za-z0-9])_|_(?![A-Za-z0-9])")
 
 
 def markdown_table(table: Table) -> str:
-    """Markdown of a table: the title in bold, a pipe table, the notes. Texts are escaped."""
+    """Return the Markdown of a table: the title in bold, a pipe table, the notes. Texts are escaped."""
     lines = [
         _line(column.heading for column in table.columns),
         "| " + " | ".join("---" if column.left else "---:" for column in table.columns) + " |",

@@ -1,4 +1,4 @@
-"""Numbers as engineers write them: exponents in steps of three, digits that mean something."""
+"""Numbers in engineering notation: exponents in steps of three and significant digits."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ _SHOWN = {"s": (1e3, "ms"), "m": (1e6, "µm")}
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and unit in which a value is shown: milliseconds for times, micrometres for lengths."""
+    """Return factor and unit for showing a value: milliseconds for times, micrometres for lengths."""
     return _SHOWN.get(unit, (1.0, unit))
 
 
 def exponent_of(value: float) -> int:
-    """Exponent in steps of three; 0 where no exponent is needed.
+    """Return the exponent in steps of three; 0 when no exponent is needed.
 
     Examples
     --------
@@ -26,7 +26,7 @@ def exponent_of(value: float) -> int:
 
 
 def probability(p: float) -> str:
-    """Write a probability with two digits; one that is next to nothing as such.
+    """Return a probability as text with two digits; very small ones as an upper bound.
 
     Examples
     --------
@@ -37,16 +37,21 @@ def probability(p: float) -> str:
 
 
 def engineering(value: float | None, digits: int = 5, exponent: int | None = None) -> str:
-    """Write a number with so many significant digits and an exponent in steps of three.
+    """Return a number as text with significant digits and an exponent in steps of three.
 
     Parameters
     ----------
     value : float or None
-        None and values that are not finite give a dash.
+        Number; None and values that are not finite give a dash.
     digits : int
-        Significant digits.
+        Number of significant digits.
     exponent : int, optional
-        Exponent to use, so that numbers in a row can be compared; the number's own when left out.
+        Common exponent of the numbers in a row; by default that of the number itself.
+
+    Returns
+    -------
+    str
+        The number.
 
     Examples
     --------

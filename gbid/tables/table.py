@@ -1,7 +1,7 @@
-"""Table: columns with name, unit and format, rows of values. Renderers beside this module turn it into words.
+"""Table: columns with name, unit and format, and rows of values. The renderers beside this module show it.
 
-A table holds values, not words: the same table is printed with the digits that a reader needs, and written to CSV with
-all of them.
+A table contains values, not texts. The same table is printed with few digits for readers and written to CSV with all
+digits.
 """
 
 from __future__ import annotations
@@ -14,20 +14,21 @@ from typing import Any
 from gbid.tables.numbers import engineering, shown_unit
 
 Value = str | float | int | bool | None
-"""What a cell holds: text, number or yes and no. None is missing, and so is a number that is nan."""
+"""Value of a cell: text, number, or yes and no. None and nan are missing values."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """A value that is not shown in the format of its column.
+    """Value of a cell with a text or link of its own.
 
     Parameters
     ----------
     value : str, float, int, bool or None
+        The value.
     text : str
-        What is shown. The format of the column makes it when left out.
+        Text to show; by default the value in the format of the column.
     href : str
-        Where the cell leads to in HTML.
+        Target of the link in HTML.
     """
 
     value: Value
@@ -40,19 +41,19 @@ Entry = Value | Cell
 
 @dataclass(frozen=True)
 class Column:
-    r"""A column: its heading, and how its values are shown.
+    r"""Column of a table: its heading and the format of its values.
 
     Parameters
     ----------
     name : str
-        On a terminal a line break in the name breaks the heading; at its end it puts the unit on a line of its own.
+        Heading. On a terminal a line break in the name breaks the heading; at its end it moves the unit to a new line.
     unit : str
         Unit of the values.
     format : str or int
-        Format specification of the numbers, or their significant digits in engineering notation. Left out, the column
-        holds texts. Texts stand to the left, and columns with a format or unit to the right.
+        Format specification of the numbers, or number of significant digits in engineering notation. Columns without
+        format and unit contain texts and are aligned left; others are aligned right.
     missing : str
-        What is shown for a value that is missing.
+        Text for a missing value.
     wrap : bool
         Whether a terminal may break the cells over several lines.
 
@@ -72,7 +73,7 @@ class Column:
 
     @property
     def left(self) -> bool:
-        """Whether the cells stand to the left, because they are texts."""
+        """Whether the cells are texts, which are aligned left."""
         return self.format == "" and not self.unit
 
     @property
@@ -87,7 +88,7 @@ class Column:
         return " ".join(self.lines.split())
 
     def show(self, entry: Entry) -> str:
-        """Text of a cell."""
+        """Return the text of a cell."""
         if isinstance(entry, Cell):
             return entry.text or self.show(entry.value)
         if entry is None or entry != entry:
@@ -105,18 +106,18 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A table.
+    """Table of values.
 
     Parameters
     ----------
     title : str
-        Empty when it has none.
+        Title; may be empty.
     columns : sequence of Column
-        A terminal shows no headings when all names are empty.
+        The columns. A terminal shows no headings when all names are empty.
     rows : sequence of sequences
-        One cell for each column: a value or a `Cell`.
+        One entry for each column: a value or a `Cell`.
     notes : sequence of str
-        What stands below it; in a CSV file, the comments above it.
+        Notes below the table; in a CSV file, comments above it.
 
     Raises
     ------
@@ -135,17 +136,17 @@ class Table:
                 raise ValueError(f"table {self.title!r}: row {i} has {len(row)} cells for {len(self.columns)} columns")
 
     def texts(self) -> list[list[str]]:
-        """Cells as they are shown, row by row."""
+        """Return the texts of the cells, row by row."""
         return [[column.show(entry) for column, entry in zip(self.columns, row, strict=True)] for row in self.rows]
 
     def document(self) -> dict[str, Any]:
-        """Title, headings and values as a plain document for JSON; numbers that are not finite are None."""
+        """Return title, headings and values as a document for JSON; numbers that are not finite are None."""
         rows = [[_finite(value_of(entry)) for entry in row] for row in self.rows]
         return {"title": self.title, "columns": [column.heading for column in self.columns], "rows": rows}
 
 
 def value_of(entry: Entry) -> Value:
-    """Value of a cell."""
+    """Return the value of a cell."""
     return entry.value if isinstance(entry, Cell) else entry
 
 
@@ -154,15 +155,21 @@ def _finite(value: Value) -> Value:
 
 
 def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
-    """Cell with a format of its own, for a column whose rows differ; missing where the value is.
+    """Return a cell with its own format and unit, for a column of different quantities; None for a missing value.
 
     Parameters
     ----------
     value : float or None
+        The value.
     format : str or int
-        As of a `Column`.
+        Format as of a `Column`.
     unit : str
         Unit of the value, shown behind it; seconds become milliseconds, metres micrometres.
+
+    Returns
+    -------
+    Cell or None
+        The cell, with the value in the unit shown.
 
     Examples
     --------
@@ -176,10 +183,10 @@ def formatted(value: float | None, format: str | int, unit: str = "") -> Entry:
 
 
 def plain_table(names: Sequence[str], rows: Sequence[Sequence[Entry]], notes: Sequence[str] = ()) -> Table:
-    """Table for a file: columns that are no more than their names."""
+    """Return a table for a file: columns with names only, without units and formats."""
     return Table("", [Column(name) for name in names], rows, notes)
 
 
 def table_of_records(records: Sequence[Mapping[str, Value]]) -> Table:
-    """Table for a file of records with the same keys, which become the names of the columns."""
+    """Return a table for a file of records; their common keys are the names of the columns."""
     return plain_table(list(records[0]) if records else (), [list(record.values()) for record in records])

@@ -13,7 +13,7 @@ _CONTROL = dict.fromkeys((*range(32), *range(127, 160)), " ")
 
 
 def terminal_table(table: Table) -> Group:
-    """Table in the style of the house, its notes below it; control characters and markup in texts have no effect."""
+    """Return the rich table with its notes; control characters and markup in texts have no effect."""
     from rich import box
     from rich.console import Group
     from rich.table import Table as RichTable

@@ -171,7 +171,7 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
     os.killpg(process.pid, signal.SIGINT)
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert err.splitlines()[-1] == "gbid: interrupted; what was complete is kept"
+    assert err.splitlines()[-1] == "gbid: interrupted; complete results are kept"
     assert "Traceback" not in err
     assert out == ""
     assert not any(alive(pid) for pid in workers)
@@ -379,7 +379,7 @@ def test_failures_are_listed_kept_and_retried(tmp_path, capsys):
     record = results_of(path) / "failed" / "import" / "run2.json"
     before = record.read_bytes()
     assert gbid("batch", path) == 3  # not tried again
-    assert "(failed before; --retry tries again)" in capsys.readouterr().err
+    assert "(failed in an earlier run; use --retry to try again)" in capsys.readouterr().err
     assert record.read_bytes() == before
     assert gbid("batch", path, "--retry") == 3
     assert "failed before" not in capsys.readouterr().err
@@ -401,7 +401,7 @@ def test_what_has_nothing_to_start_from_is_not_run(tmp_path):
     path = write_springs(tmp_path, 3, damage={2: bad})
     with working(load_experiment(path), engine="serial") as job:
         outcomes = {f"{o.stage} {o.item}": o for o in run_campaign(job)}
-    assert outcomes["fit spring/run2"].text == "nothing to start from: import run2 failed"
+    assert outcomes["fit spring/run2"].text == "its input is missing: import run2 failed"
     assert outcomes["fit spring/run2"].cause == "input"
     assert not (results_of(path) / "failed" / "fit").exists()
     (results_of(path) / "recordings" / "run3.h5").write_bytes(b"damaged")

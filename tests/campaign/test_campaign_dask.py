@@ -152,5 +152,5 @@ def test_a_scheduler_that_is_lost(engine, tmp_path, monkeypatch):
 
     monkeypatch.setattr("distributed.as_completed", Lost)
     job = Job(load_experiment(write_springs(tmp_path, 2), tmp_path / "results"), engine=engine)
-    with pytest.raises(UsageError, match=r"scheduler was lost \(the stream is closed\); start it and run again"):
+    with pytest.raises(UsageError, match=r"scheduler is lost \(the stream is closed\); start it and run again"):
         run_tasks(job, [task(tmp_path, "a", files.write_number)])

@@ -78,7 +78,7 @@ def test_its_failures_are_remembered(tmp_path, capsys):
     assert "gbid: error: peak run1: recording 'run1'" in err
     _, outcomes, err = peaks_of(path, capsys, code=3)
     assert all(o["failed_before"] for o in outcomes)
-    assert "failed before; --retry tries again" in err
+    assert "failed in an earlier run; use --retry to try again" in err
     _, outcomes, _ = peaks_of(path, capsys, "--retry", code=3)
     assert not any(o["failed_before"] for o in outcomes)
 

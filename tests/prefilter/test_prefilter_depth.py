@@ -16,7 +16,7 @@ from gbid.prefilter import (
     compare_runout,
     identify_runout,
     prefilter,
-    runout_leftover,
+    runout_residual,
 )
 from gbid.recording import Recording
 from gbid.rig import Faults, NonSynchronous, Prbs, SensorChain, Stationary, record
@@ -120,11 +120,11 @@ def test_wrong_comparisons_are_named(call, error, words):
 # ---- what is left ----
 
 
-def test_leftover_measures_noise_and_a_line_beside_it():
+def test_runout_residual_measures_noise_and_a_line_beside_it():
     rec = table({1: (3e-6, 0.2)}, n=25_000)
     whirl = 0.4e-6 * np.cos(TURN * 47.0 * rec.time)
     moved = rec.with_signals(p=rec.signal("p") + np.column_stack([whirl, 0 * whirl]))
-    left = runout_leftover(identify_runout(rec), moved)
+    left = runout_residual(identify_runout(rec), moved)
     np.testing.assert_allclose(left.noise, NOISE, rtol=0.03)
     assert left.frequency_hz[0] == pytest.approx(47.0, abs=0.2)
     assert left.order[0] == pytest.approx(47.0 * 60 / 5900, rel=0.01)
@@ -138,7 +138,7 @@ def test_run_out_and_unbalance_at_6000_rpm_leave_the_noise(pressure):
     """Held out: the map is made from two recordings and judged on a third that starts at another angle."""
     first, second, third = (rig(Stationary(2.0), name, pressure) for name in ("a", "b", "c"))
     found = compare_runout([first, second])
-    left = runout_leftover(found.runout_map, third)
+    left = runout_residual(found.runout_map, third)
     assert left.rms_before.min() > 60 * NOISE
     assert left.rms.max() < 1.2 * NOISE
     np.testing.assert_allclose(left.noise, NOISE, rtol=0.06)
@@ -154,7 +154,7 @@ def test_at_4000_rpm_the_orbit_wanders_and_much_is_left():
             made = replace(machine(5.0, speed), **parts)
             conditions = {"pressure_bar": 5.0, "speed_rpm": speed}
             recordings.append(record(made, Stationary(3.0), conditions=conditions, seed=1, name=name))
-        left[speed] = runout_leftover(compare_runout(recordings[0]).runout_map, recordings[1])
+        left[speed] = runout_residual(compare_runout(recordings[0]).runout_map, recordings[1])
     assert left[4000.0].over_noise.min() > 2.0
     assert left[4000.0].non_synchronous.min() > 3 * left[6000.0].non_synchronous.max()
 
@@ -237,7 +237,7 @@ def test_index_of_the_rig_that_never_saw_it():
     made = identify_runout(rig(Stationary(2.0), "still"))
     lost = rig(Stationary(2.0), "other", faults=Faults(missing_index=True))
     aligned = align_index(made, lost).apply(lost)
-    assert runout_leftover(made, aligned).rms.max() < 1.2 * NOISE
+    assert runout_residual(made, aligned).rms.max() < 1.2 * NOISE
 
 
 def test_std_of_the_offset_is_honest():

@@ -88,18 +88,18 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
             "loop": study.loop,
             "mode": i + 1,
             "expected_frequency [Hz]": study.expected[i][0],
-            "running_frequency [Hz]": study.expected_running[i][0],
+            "running_frequency [Hz]": study.expected_sampled[i][0],
             "obtained_frequency [Hz]": float(ring.frequency_hz[i]),
             "obtained_frequency_std [Hz]": float(ring.frequency_std[i]),
             "expected_damping": study.expected[i][1],
-            "running_damping": study.expected_running[i][1],
+            "running_damping": study.expected_sampled[i][1],
             "obtained_damping": float(ring.damping[i]),
             "obtained_damping_std": float(ring.damping_std[i]),
             "lags": len(ring.lag_rates),
             "impacts": ring.n_impacts,
             "converged": ring.success,
         }
-        for i in range(min(2, len(study.expected), len(study.expected_running)))
+        for i in range(min(2, len(study.expected), len(study.expected_sampled)))
     ]
 
 

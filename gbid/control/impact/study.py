@@ -32,7 +32,7 @@ class ImpactStudy:
         Names of model and controller; the latter is empty in open loop.
     expected : tuple of (frequency_hz, damping)
         Modes of the continuous model with first-order Pade delays, as in the paper.
-    expected_running : tuple of (frequency_hz, damping)
+    expected_sampled : tuple of (frequency_hz, damping)
         Modes of the sampled loop: sampled controller, one sample of computation, exact delays. Equal to `expected` in
         open loop.
     ringdown : RingDown
@@ -48,7 +48,7 @@ class ImpactStudy:
     model: str
     controller: str
     expected: Annotated[Modes, Stored("Hz, 1", "modes of the model")]
-    expected_running: Annotated[Modes, Stored("Hz, 1", "modes of the loop as it runs")]
+    expected_sampled: Annotated[Modes, Stored("Hz, 1", "modes of the sampled loop", at="expected_running")]
     ringdown: RingDown
     validations: Annotated[tuple[ImpactValidation, ...], Stored(at="responses")]
     figures: tuple[ImpactFigures, ...] = ()

@@ -1,4 +1,4 @@
-"""What is shown of a stage: a plain document for programs, and tables of it for people."""
+"""View of a stage: its JSON document for programs, and tables of it for people."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ Document = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class View:
-    """What is shown of a stage.
+    """JSON document and tables of a stage.
 
     Attributes
     ----------
     document : callable
-        Entries of the JSON document, from the outcomes of a run; those of other stages are left out.
+        Function that returns the entries of the JSON document from the outcomes of a run; it skips other stages.
     tables : callable
-        Tables of these entries.
+        Function that returns tables of these entries.
     """
 
     document: Callable[[Job, Sequence[Outcome]], Document]
@@ -30,7 +30,7 @@ class View:
 
 
 def outcomes_view(stage: str, key: str) -> View:
-    """Return the view of a stage that shows its outcomes, under a key of the JSON document."""
+    """Return the view of a stage without its own: a list of its outcomes, under a key of the JSON document."""
     columns = [Column("item"), Column("state"), Column("text", wrap=True)]
 
     def document(_: Job, outcomes: Sequence[Outcome]) -> Document:

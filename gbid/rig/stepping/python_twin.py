@@ -49,7 +49,7 @@ def run_in_python(arrays: StepArrays, state: StepState, chunk: Chunk) -> FloatAr
         command = np.zeros(4)
         if stacks is not None:
             command = chunk.base[k] + stacks.share_x * r[0] + stacks.share_y * r[1]
-            row[ROW.stacks], row[ROW.told] = state.stack[2], command
+            row[ROW.stacks], row[ROW.commands] = state.stack[2], command
         worst = float(disc @ disc)
         for t in range(k * over, (k + 1) * over):
             if stacks is not None:

@@ -27,7 +27,7 @@ class _Row(NamedTuple):
     volts: slice = slice(12, 16)
     ended: slice = slice(16, 20)
     radius: int = 20
-    told: slice = slice(21, 25)
+    commands: slice = slice(21, 25)
 
 
 ROW = _Row()

@@ -37,7 +37,7 @@ class SteppedMotion:
         References as applied, differences of stack positions, disc position [m].
     seen : (n, 2) array
         Disc position as the probes show it [m].
-    stacks, volts, told : (n, 4) array
+    stacks, volts, commands : (n, 4) array
         Positions [m], voltages [V] and commands of the stacks (reference [m], or volts in open loop); zero for linear
         actuators.
     ended : (n, 4) array
@@ -54,7 +54,7 @@ class SteppedMotion:
     seen: FloatArray
     stacks: FloatArray
     volts: FloatArray
-    told: FloatArray
+    commands: FloatArray
     ended: FloatArray
     radius: FloatArray
     how: str
@@ -138,8 +138,8 @@ def stepped_motion(
         on_grid = forces.between(part.start, part.stop, oversampling)
         rows[part] = run(arrays, state, Chunk(excitation[part], base[part], on_grid, sensor[part], taken[part]))
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
-    r, u, p, seen, stacks, volts, ended, radius, told = columns
-    return SteppedMotion(r, u, p, seen, stacks, volts, told, ended, radius, how)
+    r, u, p, seen, stacks, volts, ended, radius, commands = columns
+    return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, how)
 
 
 def _base(

@@ -41,7 +41,7 @@ class _Response(NamedTuple):
     chance: float  # coherence of unrelated signals
 
 
-def find_answer_problems(rec: Recording) -> Iterator[SignalProblem]:
+def find_response_problems(rec: Recording) -> Iterator[SignalProblem]:
     """Return dead sensors of u and p, and swapped channels, in a recording with moving piezos.
 
     The signal chain is r to u to p. With r, both u and p are checked against it. Without r, p is checked against u, and

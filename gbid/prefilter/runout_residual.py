@@ -16,7 +16,7 @@ _UPPER = 0.5  # upper part of the spectrum that contains sensor noise only
 
 
 @dataclass(frozen=True, eq=False)
-class Leftover:
+class RunoutResidual:
     """Residual of one stationary recording after a run-out map.
 
     On a stable orbit the residual is the sensor noise. At 4000 rpm the orbit of the paper (Sec. 4) is not stable: it
@@ -61,7 +61,7 @@ class Leftover:
         return np.asarray(self.rms / self.noise)
 
 
-def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
+def runout_residual(runout_map: RunoutMap, rec: Recording) -> RunoutResidual:
     """Return the residual of a run-out map on a recording with piezos at rest.
 
     Parameters
@@ -73,7 +73,7 @@ def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
 
     Returns
     -------
-    Leftover
+    RunoutResidual
 
     Raises
     ------
@@ -92,7 +92,7 @@ def runout_leftover(runout_map: RunoutMap, rec: Recording) -> Leftover:
     strongest = power.argmax(axis=0)
     near = np.abs(frequency[:, None] - frequency[strongest]) <= 5.0
     turns_per_s = motion.turns / ((rec.n_samples - 1) * rec.sample_time)
-    return Leftover(
+    return RunoutResidual(
         name=rec.name,
         conditions=dict(rec.conditions),
         rms_before=p.std(axis=0),
