@@ -1,4 +1,4 @@
-"""Static maps and piezo curves in HDF5 (kinds ``static_map`` and ``piezo_curve``) and as tidy csv."""
+"""Static maps and piezo curves in HDF5 (kinds ``static_map`` and ``piezo_curve``), and their rows for CSV."""
 
 from __future__ import annotations
 
@@ -22,11 +22,12 @@ _KINDS: dict[type, FileKind] = {
 
 
 def save_static(result: StaticMap | PiezoCurve, path: str | Path, overwrite: bool = False) -> None:
-    """Store a static map or a piezo curve.
+    """Write a static map or a piezo curve to an HDF5 file.
 
     Parameters
     ----------
     result : StaticMap or PiezoCurve
+        The result.
     path : path
         The new file.
     overwrite : bool
@@ -37,7 +38,7 @@ def save_static(result: StaticMap | PiezoCurve, path: str | Path, overwrite: boo
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     source, output = result.units
     units = {"in": source, "out": output, "gain": f"{output}/{source}", "gain^2": f"({output}/{source})^2"}
@@ -46,17 +47,19 @@ def save_static(result: StaticMap | PiezoCurve, path: str | Path, overwrite: boo
 
 
 def load_static(path: str | Path, kind: type[Result]) -> Result:
-    """Read what `save_static` stored.
+    """Return the static map or piezo curve in a file of `save_static`.
 
     Parameters
     ----------
     path : path
+        The file.
     kind : type
         `StaticMap` or `PiezoCurve`.
 
     Returns
     -------
     StaticMap or PiezoCurve
+        The result.
 
     Raises
     ------
@@ -68,7 +71,7 @@ def load_static(path: str | Path, kind: type[Result]) -> Result:
 
 
 def static_rows(result: StaticMap | PiezoCurve) -> list[dict[str, Any]]:
-    """One row for each plateau, ready for csv: names with their units in brackets."""
+    """Return rows for CSV, one for each plateau; names have their units in brackets."""
     source, output = result.units
     if isinstance(result, PiezoCurve):
         creep = np.concatenate([[np.nan], result.creep])

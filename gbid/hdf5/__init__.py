@@ -1,4 +1,4 @@
-"""HDF5 files of gbid: atomic writing, checked reading, dataclasses by their types."""
+"""HDF5 files of gbid: atomic writing, checked reading, dataclasses stored by the types of their fields."""
 
 from gbid.hdf5.entries import (
     DamagedError,

@@ -1,4 +1,4 @@
-"""Numbers and texts of one field as an attribute or a dataset."""
+"""Codec of a field of numbers or texts, stored as an attribute or a dataset."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from gbid.hdf5.entries import TEXT, DamagedError, add_attribute, add_dataset, re
 from gbid.hdf5.stored import Stored
 
 _DTYPES = {"f": np.float64, "i": np.int64, "b": np.bool_}
-_TAKEN = {"f": "fiu", "i": "iu", "b": "b"}  # what counts as such: whole numbers are numbers
+_TAKEN = {"f": "fiu", "i": "iu", "b": "b"}  # accepted kinds of arrays: whole numbers are numbers, too
 _WORDS = {"f": "numbers", "i": "whole numbers", "b": "true or false", "U": "texts"}
-_COMPRESSED = 10_000  # numbers from which on a dataset is compressed
+_COMPRESSED = 10_000  # smallest number of values in a compressed dataset
 
 
 @dataclass
 class Context:
-    """What the fields of one value share while it is written or read.
+    """State shared by the fields of one value while it is written or read.
 
     Attributes
     ----------
     units : dict of str to str
-        Units that only the value knows, by the word that its fields declare.
+        Units that depend on the value, by the word that its fields declare.
     lengths : dict of str to int
-        Lengths met so far, by the word for them.
+        Lengths found so far, by the word that stands for them.
     keys : dict of str to tuple of str
-        Keys of mappings met so far, by the attribute that holds them.
+        Keys of mappings found so far, by the attribute that contains them.
     """
 
     units: Mapping[str, str] = field(default_factory=dict)
@@ -38,7 +38,7 @@ class Context:
     keys: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def check(self, shape: tuple[int, ...], expected: tuple[str, ...] | None, what: Callable[[], str]) -> None:
-        """Refuse a shape that does not fit to what was declared and met so far."""
+        """Refuse a shape that differs from the declared one, or from lengths found before."""
         if expected is None:
             return
         if len(shape) == len(expected) and shape[:1] == (0,):  # an empty array has no further lengths
@@ -54,20 +54,22 @@ class Context:
 
 @dataclass(frozen=True)
 class Leaf:
-    """A field of numbers or texts.
+    """Codec of a field of numbers or texts.
 
     Attributes
     ----------
     kind : {"f", "i", "b", "U"}
+        Numbers, whole numbers, booleans or texts.
     build : callable
-        From the array read to the value of the field.
+        Function from the array to the value of the field.
     shape : tuple of str, optional
-        Lengths, words for lengths, or "*" for any; None for any shape.
+        Lengths, words that stand for lengths, or "*" for any length; None for any shape.
     is_dataset : bool
-        Else an attribute.
+        Whether it is stored as a dataset; else as an attribute.
     stored : Stored
+        Declaration of the field.
     encode : callable
-        From the value of the field to what goes into an array.
+        Function from the value of the field to values for an array.
     """
 
     kind: str
@@ -78,7 +80,7 @@ class Leaf:
     encode: Callable[[Any], Any] = lambda value: value
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
-        """Write the value of a field at its place."""
+        """Write the value of a field."""
         self.put(group, name, self.encode(value), context)
 
     def put(self, group: h5py.Group, name: str, values: Any, context: Context) -> None:
@@ -100,11 +102,11 @@ class Leaf:
         add_attribute(item, attribute, array)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Read the value of a field from its place."""
+        """Return the value of a field."""
         return self.build(self.get(group, name, context))
 
     def get(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Read the array that the value is built from; a single number or text for the shape ()."""
+        """Return the array from which the value is built; a single number or text for the shape ()."""
         if self.is_dataset:
             array = read_dataset(group, name, texts=self.kind == "U")
         else:
@@ -125,6 +127,6 @@ class Leaf:
 
 
 def attribute_of(place: str) -> tuple[str, str]:
-    """Path of the item and name of its attribute, for a place such as ``"parameters@units"`` or ``"status"``."""
+    """Return path and attribute of a place such as ``"parameters@units"`` or ``"status"``."""
     path, at, attribute = place.partition("@")
     return (path, attribute) if at else ("", place)

@@ -1,4 +1,4 @@
-"""How a field of a dataclass stands in an HDF5 file, declared beside the field."""
+"""Declaration of a stored field, written beside the field: unit, long name, shape and place in the HDF5 file."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Stored:
-    """Unit, name in words, shape and place of a field: ``mean: Annotated[FloatArray, Stored("m", "mean position")]``.
+    """Unit, long name, shape and place of a field: ``mean: Annotated[FloatArray, Stored("m", "mean position")]``.
 
-    Numbers that are declared stand in a dataset, single ones that are not in an attribute.
+    Numbers with a declaration are stored in a dataset, single numbers without one in an attribute.
 
     Attributes
     ----------
     unit : str
-        Attribute ``units`` of the dataset; "1" for ratios, "" where it follows from the structure.
+        Attribute ``units`` of the dataset; "1" for ratios, "" when the structure determines the unit.
     long_name : str
-        Attribute ``long_name``: what it is, in words; the name of the field when not given.
+        Attribute ``long_name``: meaning in words; by default the name of the field.
     shape : str
-        Its lengths, e.g. ``"n 2"``; a word stands for the same length wherever it occurs in the dataclass.
+        Lengths, e.g. ``"n 2"``; a word stands for the same length in all fields of the dataclass.
     at : str
-        Its place below the group of the dataclass, e.g. ``"parameters/estimate"``, or ``"parameters@units"`` for an
-        attribute; the name of the field when not given.
+        Place below the group of the dataclass, e.g. ``"parameters/estimate"``, or ``"parameters@units"`` for an
+        attribute; by default the name of the field.
     keys : str
-        Of a mapping: the attribute with its keys; mappings that name the same one share them. The attribute ``names``
-        of the dataset when not given.
+        For a mapping, the attribute with its keys; mappings with the same attribute share their keys. By default the
+        attribute ``names`` of the dataset.
     """
 
     unit: str = ""
@@ -35,4 +35,4 @@ class Stored:
 
 
 NOT_STORED = Stored(at="nowhere")
-"""Marks a field that does not stand in the file; reading gives it, or it has a default."""
+"""Mark of a field that is not stored; the reader passes it, or it has a default."""

@@ -1,4 +1,4 @@
-"""Run-out map and prefilter reports in one HDF5 file; the tree is documented in docs/file-formats.md."""
+"""Run-out map and prefilter reports in one HDF5 file; docs/file-formats.md describes the tree."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ KIND = hdf5.FileKind("prefilter", "make it again with `gbid run`")
 
 @dataclass(frozen=True, eq=False)
 class _Signal:
-    """What a report says of one signal."""
+    """Entries of a report for one signal."""
 
     channels: Annotated[tuple[str, ...], Stored(shape="channels")]
     rms_before: Annotated[FloatArray, Stored("unit", "rms about the mean before the prefilter", "channels")]
@@ -37,7 +37,7 @@ def save_prefilter(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Store a run-out map and the reports of the recordings it was used on.
+    """Write a run-out map and the reports of the recordings that it corrected.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def save_prefilter(
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     with hdf5.writing(path, KIND, overwrite) as file:
         if runout_map is not None:
@@ -66,11 +66,19 @@ def save_prefilter(
 
 
 def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterReport, ...]]:
-    """Read what `save_prefilter` stored.
+    """Return the run-out map and the reports in a file of `save_prefilter`.
 
     Parameters
     ----------
     path : str or path
+        The file.
+
+    Returns
+    -------
+    runout_map : RunoutMap or None
+        The map; None when the file has none.
+    reports : tuple of PrefilterReport
+        The reports.
 
     Raises
     ------
@@ -83,13 +91,13 @@ def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterR
 
 
 def add_report(path: str | Path, report: PrefilterReport) -> None:
-    """Store the report of a prefiltered recording in the recording's own file, as ``prefilter_report``."""
+    """Write the report of a prefiltered recording to the file of the recording, as group ``prefilter_report``."""
     with hdf5.changing(Path(path)) as file:
         _write_report(file.create_group("prefilter_report"), report)
 
 
 def read_report(path: str | Path) -> PrefilterReport:
-    """Read the report that a prefiltered recording carries.
+    """Return the report in the file of a prefiltered recording.
 
     Raises
     ------

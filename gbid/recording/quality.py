@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
-from gbid.recording.quality_response import find_response_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
+from gbid.recording.quality_response import find_response_problems
 from gbid.recording.quality_rub import find_rub
 from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
 from gbid.recording.recording import Recording

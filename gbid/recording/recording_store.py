@@ -1,4 +1,4 @@
-"""Recordings in HDF5. The tree is documented in docs/file-formats.md."""
+"""Recordings in HDF5; docs/file-formats.md describes the tree."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from gbid.units import SIGNALS
 KIND = hdf5.FileKind("recording", "record or import it again")
 
 CONDITION_UNITS = {"pressure_bar": "bar", "speed_rpm": "rpm"}
-"""Units of the conditions that gbid knows; others have ``""``."""
+"""Units of the conditions that gbid uses; other conditions have ``""``."""
 
 
 def save_recording(rec: Recording, path: str | Path, overwrite: bool = False) -> None:
     """Write a recording to an HDF5 file, bit for bit.
 
-    The file appears under its name only when it is complete; a failure leaves what was there before.
+    The file appears under its name only when it is complete. After a failure an earlier file is unchanged.
 
     Parameters
     ----------
     rec : Recording
-        What to write.
+        Recording to write.
     path : path
         The file; missing folders are made.
     overwrite : bool
@@ -54,7 +54,7 @@ def save_recording(rec: Recording, path: str | Path, overwrite: bool = False) ->
 
 
 def load_recording(path: str | Path) -> Recording:
-    """Read a recording from an HDF5 file written by `save_recording`.
+    """Return the recording in an HDF5 file of `save_recording`.
 
     Parameters
     ----------
@@ -64,13 +64,13 @@ def load_recording(path: str | Path) -> Recording:
     Returns
     -------
     Recording
-        With the same bits as the one written.
+        The same values, bit for bit.
 
     Raises
     ------
     DataError
-        When the file is missing, truncated, incomplete, of another kind or schema, or holds values that no
-        recording may hold.
+        When the file is missing, truncated, incomplete, of another kind or schema, or contains values that a recording
+        must not have.
     """
     with hdf5.reading(path, KIND) as file:
         signals, units, channels = {}, {}, {}
@@ -110,7 +110,7 @@ def _write_signals(group: h5py.Group, rec: Recording) -> None:
 
 
 def _scalar(group: h5py.Group, name: str) -> float:
-    """Read a dataset of one number."""
+    """Return a dataset of one number."""
     values = hdf5.read_dataset(group, name)
     if values.shape != ():
         raise DataError(f"{group.file.filename}: {name} has shape {values.shape}, expected one number")
@@ -118,7 +118,7 @@ def _scalar(group: h5py.Group, name: str) -> float:
 
 
 def _check_time(path: str | Path, rec: Recording, time: FloatArray) -> None:
-    """Refuse a time axis that says something else than sample_time."""
+    """Refuse a time axis that contradicts sample_time."""
     if time.shape != (rec.n_samples,):
         raise DataError(f"{path}: /signals/time has shape {time.shape}, expected ({rec.n_samples},)")
     wrong = np.flatnonzero(~(np.abs(time - rec.time) <= 1e-3 * rec.sample_time))

@@ -1,4 +1,4 @@
-"""Summaries of validation in HDF5 and CSV, nominal actuators in YAML; documented in docs/file-formats.md."""
+"""Summaries of validation in HDF5 and CSV, nominal actuators in YAML; see docs/file-formats.md."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ def save_validation_summary(summary: ValidationSummary, path: str | Path, overwr
     Parameters
     ----------
     summary : ValidationSummary
+        The summary.
     path : str or path
+        The file.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -32,17 +34,23 @@ def save_validation_summary(summary: ValidationSummary, path: str | Path, overwr
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     hdf5.save(summary, path, KIND, overwrite)
 
 
 def load_validation_summary(path: str | Path) -> ValidationSummary:
-    """Read a summary that `save_validation_summary` wrote.
+    """Return the summary in a file of `save_validation_summary`.
 
     Parameters
     ----------
     path : str or path
+        The file.
+
+    Returns
+    -------
+    ValidationSummary
+        The summary.
 
     Raises
     ------
@@ -53,7 +61,7 @@ def load_validation_summary(path: str | Path) -> ValidationSummary:
 
 
 def summary_csv_table(summary: ValidationSummary) -> Table:
-    """Mean and standard deviation of the fit percent, a row for each output: of all pairs, then of each point."""
+    """Return a table of mean and std of the fit percent, a row for each output: all pairs, then each point."""
     names = ("pressure_bar", "speed_rpm", "output", "pairs", "mean", "std", "infinity_norm", "unit")
     rows: list[list[Value]] = []
     every = PointSummary(math.nan, math.nan, summary.n_pairs, summary.mean, summary.std, summary.infinity_norm_max)
@@ -69,14 +77,16 @@ def summary_csv_table(summary: ValidationSummary) -> Table:
 def save_nominal_actuator(
     nominal: NominalActuator, path: str | Path, *, source: str = "", overwrite: bool = False, comment: str = ""
 ) -> None:
-    """Write a nominal actuator as YAML; its block ``actuators`` is that of a model file.
+    """Write a nominal actuator to a YAML file; its block ``actuators`` is that of a model file.
 
     Parameters
     ----------
     nominal : NominalActuator
+        The nominal actuator.
     path : path
+        The file.
     source : str
-        Where the model comes from; the name of the chosen one by default.
+        Source of the model; by default the name of the chosen model.
     overwrite : bool
         Whether an existing file may be replaced.
     comment : str
@@ -87,7 +97,7 @@ def save_nominal_actuator(
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     said = source or f"{nominal.name}, the most central of {len(nominal.models)} models"
     contents = {
@@ -107,24 +117,29 @@ def save_nominal_actuator(
 
 
 def load_actuators(path: str | Path) -> dict[str, float]:
-    """Read the parameters of a nominal actuator, as `gbid.LPVModel` takes them.
+    """Return the parameters of a nominal actuator for `gbid.LPVModel`.
 
     Parameters
     ----------
     path : str or path
-        The YAML that `save_nominal_actuator` or an experiment wrote.
+        YAML file of `save_nominal_actuator` or of an experiment.
+
+    Returns
+    -------
+    dict of str to float
+        Actuator parameters by name.
 
     Raises
     ------
     UsageError
-        When the file is missing or no YAML.
+        When the file is missing or not YAML.
     DataError
-        When it is another file, or a parameter is missing or no positive number.
+        When the file is of another kind, or a parameter is missing or not a positive number.
     """
     data = read_yaml(Path(path)).data
     found = data.get("actuators")
     if data.get("kind") != ACTUATORS_KIND or not isinstance(found, dict):
-        raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); `gbid run` makes one")
+        raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); run `gbid run`")
     for name in ACTUATOR:
         value = found.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:

@@ -1,4 +1,4 @@
-"""Tuned design and its performance, in HDF5 (kind ``tuning``)."""
+"""Tuned designs and their performance in HDF5 (kind ``tuning``)."""
 
 from __future__ import annotations
 
@@ -29,14 +29,16 @@ class DesignFigures:
     Attributes
     ----------
     name, structure : str
+        Names of design and structure.
     gains : dict of str to float
+        Gains by name.
     points : (m, 2) array
-        Pressure [bar], speed [rpm].
+        Operating points: pressure [bar], speed [rpm].
     figures : (m, 12) array
-        In the order of `gbid.control.assessment.point_assessment.FIGURES`; its units.
+        Figures in the order and units of `gbid.control.assessment.point_assessment.FIGURES`.
     stable, sampled_stable, exceeds_travel : (m,) boolean array
-        At each point: of the continuous loop; of the loop as it runs; whether the impact asks for more travel than a
-        stack has.
+        At each point: whether the continuous loop is stable; whether the sampled loop is stable; whether the impact
+        needs more travel than a stack has.
     """
 
     name: str
@@ -50,7 +52,7 @@ class DesignFigures:
 
     @classmethod
     def of(cls, assessment: Assessment) -> DesignFigures:
-        """Take the numbers out of an assessment."""
+        """Return the numbers of an assessment."""
         points = [(q.pressure_bar, q.speed_rpm) for q in assessment.points]
         figures = [[q.figures()[name] for name in FIGURES] for q in assessment.points]
         verdicts = (np.array([getattr(q, name) for q in assessment.points]) for name in _VERDICTS)
@@ -72,12 +74,14 @@ class DesignFigures:
 
 
 class CappedDesign(NamedTuple):
-    """A design under a cap on the peak of S_o.
+    """Design under a cap on the peak of S_o.
 
     Attributes
     ----------
     cap : float
+        The cap.
     result : GainResult
+        The design.
     """
 
     cap: float
@@ -86,25 +90,26 @@ class CappedDesign(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class TunedDesign:
-    """A tuned design.
+    """Tuned design with its performance.
 
     Attributes
     ----------
     name : str
+        Name of the design.
     plant : str
-        Name of the model that it was tuned on.
+        Name of the model for which it was tuned.
     result : GainResult
-        Without its structure when read from a file; the controller file has it.
+        Result of the tuning. Read from a file it has no structure; the controller file contains that.
     performance : tuple of DesignFigures
-        Of the design, and of the published one where there is one.
+        Performance of the design, and of the published controller if there is one.
     front : tuple of CappedDesign
-        Designs of the same structure under other caps on the peak of S_o, rising.
+        Designs of the same structure under other caps on the peak of S_o, in rising order.
     impact : HalfSine
-        The impact of the figures.
+        Impact for the figures.
     sample_time : float
-        Of their sampled loop [s]; its computation takes one sample.
+        Sample time of the sampled loop [s]; its computation takes one sample.
     method : {"tustin", "zoh"}
-        How the controller is sampled.
+        Discretisation of the controller.
     """
 
     name: str
@@ -118,14 +123,14 @@ class TunedDesign:
 
 
 def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -> None:
-    """Store a tuned design.
+    """Write a tuned design to an HDF5 file.
 
     Raises
     ------
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     with hdf5.writing(path, KIND, overwrite) as file:
         hdf5.write_fields(file, design)
@@ -134,7 +139,7 @@ def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -
 
 
 def load_tuned(path: str | Path) -> TunedDesign:
-    """Read what `save_tuned` stored.
+    """Return the tuned design in an HDF5 file of `save_tuned`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Impact studies in HDF5, kind ``impact``, and their rows for csv."""
+"""Impact studies in HDF5 (kind ``impact``), and their rows for CSV."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from gbid.control.impact.study import ImpactStudy
 
 
 def _from_schema_1(file: h5py.File) -> None:
-    """Tables become columns with names; in gbid 0.1 impacts were blows."""
+    """Convert tables to columns with names, and the names of gbid 0.1, in which impacts were called blows."""
     _spread(file, "figures", ImpactFigures)
     ringdown = file["ringdown"].attrs
     if "n_blows" in ringdown:
         ringdown["n_impacts"] = ringdown["n_blows"]
-    if ringdown["status"].startswith(RingDownStatus.NOT_CONVERGED):  # and why, in words
+    if ringdown["status"].startswith(RingDownStatus.NOT_CONVERGED):  # the reason followed in words
         ringdown["status"] = RingDownStatus.NOT_CONVERGED.value
     responses = file.require_group("responses")
     responses.attrs["count"] = len(responses)
@@ -32,7 +32,7 @@ def _from_schema_1(file: h5py.File) -> None:
 
 
 def _spread(group: h5py.Group, name: str, row: type, whole: tuple[str, ...] = ()) -> None:
-    """Make a group of columns of a table, whose columns are the fields of a dataclass."""
+    """Replace a table by a group of its columns, whose names are the fields of a dataclass."""
     columns = hdf5.read_dataset(group, name).T
     del group[name]
     for field, column in zip(fields(row), columns, strict=True):
@@ -44,12 +44,14 @@ KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema
 
 
 def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) -> None:
-    """Store an impact study.
+    """Write an impact study to an HDF5 file.
 
     Parameters
     ----------
     study : ImpactStudy
+        The study.
     path : path
+        The file.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -58,17 +60,23 @@ def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) 
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     hdf5.save(study, path, KIND, overwrite)
 
 
 def load_impacts(path: str | Path) -> ImpactStudy:
-    """Read what `save_impacts` stored.
+    """Return the impact study in an HDF5 file of `save_impacts`.
 
     Parameters
     ----------
     path : str or path
+        The file.
+
+    Returns
+    -------
+    ImpactStudy
+        The study.
 
     Raises
     ------
@@ -79,7 +87,7 @@ def load_impacts(path: str | Path) -> ImpactStudy:
 
 
 def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
-    """List expected and obtained modes, a row each, names with their units in brackets."""
+    """Return rows of expected and identified modes, one for each mode; names have their units in brackets."""
     ring = study.ringdown
     return [
         {
@@ -104,7 +112,7 @@ def mode_rows(study: ImpactStudy) -> list[dict[str, Any]]:
 
 
 def response_rows(study: ImpactStudy) -> list[dict[str, Any]]:
-    """List force scaling, fit, and what the impacts do to disc and piezos, a row for each recording."""
+    """Return rows of force scaling, fit percent, and motion of disc and piezos, one for each recording."""
     return [
         {
             "recording": v.recording,
