@@ -77,8 +77,8 @@ STAGE_VERBS = (
     StageVerb(
         "tune",
         CONTROL,
-        "Tune controllers: the gains with the most damping within limits, beside the published ones.",
         "Tune controllers: the gains with the most damping within limits, compared with the published ones.",
+        ("tune",),
         ("gbid tune rig1/experiment.yaml", "gbid tune rig1/experiment.yaml --json > designs.json"),
     ),
     StageVerb(

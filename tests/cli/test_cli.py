@@ -333,7 +333,7 @@ def test_a_missed_threshold_ends_with_5_and_is_written(spring, tmp_path, capsys)
     assert gbid("crossval", spring, "--json") == 5
     captured = capsys.readouterr()
     assert all(row["missed"] for row in document(captured.out)["crossval"])
-    assert "below the 99.99 % asked for" in captured.err
+    assert "below the minimum of 99.99 %" in captured.err
     assert gbid("run", spring) == 5
 
 

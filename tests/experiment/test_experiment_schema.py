@@ -122,11 +122,11 @@ LEFT_OUT = "left_out: {p5_n6000_prbs1: [[0.1, 0.2]]}"
         ("stop: paper", "criterion: det, output_weights: [1, 2]", "output_weights", ["criterion: trace"]),
         ("stop: paper", "initial_state: [0, 0]", "initial_state", ["2 numbers for the 6 states of rotor_bearing"]),
         ("stop: paper", "focus: simulation, horizon: 3", "horizon: 3", ["for focus: prediction"]),
-        ("stop: paper", "focus: simulation, prior: {bd_xx: {value: 0, std: 1}}", "bd_xx", ["does not see"]),
+        ("stop: paper", "focus: simulation, prior: {bd_xx: {value: 0, std: 1}}", "bd_xx", ["does not use"]),
         ("stop: paper", LEFT_OUT.replace("prbs1", "prbs7"), "p5_n6000_prbs7", ["did you mean 'p5_n6000_prbs2'"]),
         ("stop: paper", LEFT_OUT.replace("0.1, 0.2", "0.2, 0.2"), "[0.2, 0.2]", ["left_out", "0.2 s is not after"]),
         ("stop: paper", LEFT_OUT.replace("0.1, 0.2", "0.9, 1.1"), "[0.9, 1.1]", ["beyond the end of the recording"]),
-        ("stop: paper", LEFT_OUT + ", horizon: 2", "left_out: {", ["a horizon of 1 only"]),
+        ("stop: paper", LEFT_OUT + ", horizon: 2", "left_out: {", ["needs a horizon of 1"]),
         ("gain: diagonal", "gain: none, delay: exact, pade_order: 2", "options: {", ["pade_order is for delay: pade"]),
         (
             "{structure: piezo_pair}",

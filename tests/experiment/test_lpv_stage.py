@@ -107,7 +107,7 @@ def test_without_fits_or_section_it_says_so(campaign, tmp_path):
     path, _ = campaign
     missing = call("lpv", path, "--results", tmp_path / "empty")
     assert missing.exit_code == 3
-    assert "no fit 'bearing' is there" in missing.output
+    assert "fit 'bearing' has no results" in missing.output
     bare = tmp_path / "bare.yaml"
     bare.write_text(CAMPAIGN[: CAMPAIGN.index("lpv:")])
     nothing = call("lpv", bare)

@@ -110,7 +110,7 @@ def test_prefilter_auto_chooses_and_says_so(tmp_path):
     run_stage(job, RIG)
     outcomes = run_stage(job, PREFILTER)
     assert {o.state for o in outcomes} == {"made"}
-    assert "method auto: harmonics, 5; it leaves 30" in outcomes[-1].text
+    assert "method auto: harmonics, 5; rms residual on test data 30" in outcomes[-1].text
     runout_map, (report,) = load_prefilter(outcomes[-1].path)
     assert runout_map is not None
     assert len(runout_map.orders) == 5
