@@ -1,4 +1,4 @@
-"""From the type of a field to how it is stored."""
+"""Codecs of fields, chosen by their types."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _LINES = tuple[tuple[str, ...], ...]
 
 
 def record(made: type) -> DataclassGroup:
-    """How a dataclass or a named tuple is stored, from the annotations of its fields.
+    """Return the codec of a dataclass or named tuple, from the annotations of its fields.
 
     Raises
     ------
     TypeError
-        For a field of a type that cannot be stored.
+        When a field has a type that cannot be stored.
     """
     hashable: Any = made
     return _record(hashable)
@@ -74,7 +74,7 @@ def _is_record(hint: Any) -> bool:
 
 
 def _columns(rows: DataclassGroup) -> Codec:
-    """Columns where each field is a number, a text or an array of declared shape; else a group for each row."""
+    """Return columns when each field is a number, a text or an array of declared shape; else one group per row."""
     columns = []
     for name, _, leaf in rows.fields:
         if not isinstance(leaf, Leaf) or leaf.shape is None or (leaf.shape and leaf.kind == "U"):
@@ -96,7 +96,7 @@ def _mapping(hint: Any, to: Any, stored: Stored | None) -> Codec:
 
 
 def _is_plain(hint: Any) -> bool:
-    """Whether it is a text, or a mapping to such."""
+    """Return whether a type is text, or a mapping to such types."""
     return hint is str or (bool(get_args(hint)) and get_origin(hint) is Mapping and _is_plain(get_args(hint)[1]))
 
 
@@ -105,7 +105,7 @@ def _as_json(value: Any) -> str:
 
 
 def _checked(value: Any, hint: Any) -> Any:
-    """Refuse JSON of another form than the type says."""
+    """Return a value read from JSON; refuse one that does not have the type."""
     if hint is str and isinstance(value, str):
         return value
     if hint is not str and isinstance(value, dict):
@@ -134,7 +134,7 @@ def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
 
 
 def _values(hint: Any) -> _ArrayCodec | None:
-    """How values of a type become an array and come back; None where they do not."""
+    """Return how values of a type are converted to arrays and back; None when they cannot be."""
     origin, args = get_origin(hint), get_args(hint)
     if hint in _SCALARS:
         return _ArrayCodec(_SCALARS[hint], hint, (), _same)
@@ -173,7 +173,7 @@ def _same(value: Any) -> Any:
 
 def _one_of(value: Any, allowed: tuple[Any, ...]) -> Any:
     if value not in allowed:
-        raise ValueError(f"{value!r} is none of {', '.join(map(repr, allowed))}")
+        raise ValueError(f"{value!r} is not one of {', '.join(map(repr, allowed))}")
     return value
 
 

@@ -1,4 +1,4 @@
-"""HDF5 files of gbid: written whole or not at all, and checked when they are opened."""
+"""HDF5 files of gbid: written in full or not at all, and checked when they are opened."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ from gbid.hdf5.entries import DamagedError
 
 @dataclass(frozen=True)
 class FileKind:
-    """A kind of file.
+    """Kind of file.
 
     Attributes
     ----------
     name : str
-        Attribute ``gbid_kind`` of its root: ``"recording"``, ``"fit"`` and so on.
+        Attribute ``gbid_kind`` of the root: ``"recording"``, ``"fit"`` and so on.
     remedy : str
-        What to do about a file that cannot be read.
+        Advice for a file that cannot be read, as part of the error message.
     upgrades : tuple of callable or None
-        How older files are read: the first changes a tree of schema 1, in memory, to one of schema 2, and so on; None
-        where such files are refused. The present schema is the one after the last.
+        Conversions of older files, in memory: the first from schema 1 to schema 2, and so on; None where such files are
+        refused. The present schema is the one after the last.
     """
 
     name: str
@@ -38,20 +38,20 @@ class FileKind:
 
     @property
     def schema_version(self) -> int:
-        """Version of the tree that is written."""
+        """Version of the schema that is written."""
         return len(self.upgrades) + 1
 
 
 @contextlib.contextmanager
 def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterator[h5py.File]:
-    """Open a new HDF5 file that appears under its name only when complete.
+    """Return a context with a new HDF5 file, which appears under its name only when it is complete.
 
     Parameters
     ----------
     path : path
         The file.
-    kind : FileKind
-        What it holds; checked when read.
+    kind : Kind
+        Kind of the file; it is checked at reading.
     overwrite : bool
         Whether an existing file may be replaced.
     """
@@ -65,16 +65,16 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
 
 @contextlib.contextmanager
 def changing(path: Path) -> Iterator[h5py.File]:
-    """Open an HDF5 file to be changed; it is written when the block ends well."""
+    """Return a context with an HDF5 file to change; it is written at the end if no error occurs."""
     with _through_memory(path, "r+") as file:
         yield file
 
 
 @contextlib.contextmanager
 def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
-    """Give a file that is in memory only, and write its bytes at the end.
+    """Return a context with a file in memory, whose bytes are written at the end.
 
-    On a full disk the library of HDF5 cannot close a file of its own, and crashes the process when it ends.
+    On a full disk the HDF5 library cannot close its own file, and crashes the process at its end.
     """
     with _in_memory(path, mode) as file:
         yield file
@@ -89,13 +89,13 @@ def _in_memory(path: Path, mode: str) -> h5py.File:
 
 @contextlib.contextmanager
 def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
-    """Open an HDF5 file of gbid and check that it is of the kind asked for; older trees are brought up to date.
+    """Return a context with an HDF5 file of a kind, opened for reading; older schemas are converted in memory.
 
     Raises
     ------
     DataError
-        When the file is missing, no HDF5, truncated, of another kind or a newer schema, or when what is read inside
-        the block is missing, of the wrong type or shape, or does not fit together.
+        When the file is missing, not HDF5, truncated, of another kind or a newer schema. Also when an entry that the
+        context reads is missing, of the wrong type or shape, or contradicts another.
     """
     path = Path(path)
     try:

@@ -1,4 +1,4 @@
-"""Fields that hold several others: dataclasses, tuples of them, mappings, and what may be absent."""
+"""Codecs of nested fields: dataclasses, tuples of dataclasses, mappings, and optional values."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ from gbid.hdf5.leaf import Context, Leaf, attribute_of
 
 
 class Codec(Protocol):
-    """How a field of a dataclass is written to a group and read from it."""
+    """Codec: it writes a field of a dataclass to a group and reads it back."""
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context, /) -> None:
         """Write the value of the field `name`."""
 
     def read(self, group: h5py.Group, name: str, context: Context, /) -> Any:
-        """Read the value of the field `name`."""
+        """Return the value of the field `name`."""
 
 
 @dataclass(frozen=True)
 class DataclassGroup:
-    """A dataclass in a group."""
+    """Codec of a dataclass: a group."""
 
     made: type
     fields: tuple[tuple[str, str, Codec], ...]  # name, place, codec
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
-        """Make a group for the value."""
+        """Write the value to a new group."""
         if not isinstance(value, self.made):
             raise TypeError(f"{name}: {value!r} is no {self.made.__name__}")
         self.put(group.create_group(name), value, context.units)
@@ -43,31 +43,31 @@ class DataclassGroup:
             codec.write(group, place, getattr(value, name), context)
 
     def read(self, group: h5py.Group, name: str, _context: Context) -> Any:
-        """Make the value from its group."""
+        """Return the value from its group."""
         return self.get(read_group(group, name), {})
 
     def get(self, group: h5py.Group, given: Mapping[str, Any]) -> Any:
-        """Make the value from the fields in a group and those that are given."""
+        """Return the value from the fields in a group and those in `given`."""
         context = Context()
         return self.made(**{name: codec.read(group, place, context) for name, place, codec in self.fields}, **given)
 
 
 @dataclass(frozen=True)
 class Columns:
-    """A tuple of dataclasses of numbers, texts and arrays: a group with a column for each field."""
+    """Codec of a tuple of dataclasses of numbers, texts and arrays: a group with a column for each field."""
 
     made: type
     fields: tuple[tuple[str, Leaf], ...]
 
     def write(self, group: h5py.Group, name: str, value: Iterable[Any], context: Context) -> None:
-        """Make a group with the columns."""
+        """Write the columns to a new group."""
         table, rows = group.create_group(name), tuple(value)
         context.lengths["rows"] = len(rows)
         for key, leaf in self.fields:
             leaf.put(table, key, [leaf.encode(getattr(row, key)) for row in rows], context)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> tuple[Any, ...]:
-        """Make the values from the columns."""
+        """Return the values from the columns."""
         table = read_group(group, name)
         context.lengths.pop("rows", None)
         columns = [leaf.get(table, key, context) for key, leaf in self.fields]
@@ -79,13 +79,13 @@ class Columns:
 
 @dataclass(frozen=True)
 class Numbered:
-    """A tuple of values, or a mapping to them, in the entries 0000, 0001 and so on of a group."""
+    """Codec of a tuple of values, or of a mapping to them: entries 0000, 0001 and so on of a group."""
 
     each: Codec
     named: bool
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
-        """Make a group with the entries."""
+        """Write the entries to a new group."""
         entries = group.create_group(name)
         entries.attrs["count"] = len(value)
         if self.named:
@@ -94,7 +94,7 @@ class Numbered:
             self.each.write(entries, f"{i:04d}", item, context)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Read the entries in their order."""
+        """Return the entries in their order."""
         entries = read_group(group, name)
         count = read_attribute(entries, "count")
         if len(entries) != count:
@@ -105,7 +105,7 @@ class Numbered:
 
 @dataclass(frozen=True)
 class Keyed:
-    """A mapping to numbers or texts as one array, its keys in an attribute."""
+    """Codec of a mapping to numbers or texts: one array, with the keys in an attribute."""
 
     values: Leaf
     keys: str
@@ -120,7 +120,7 @@ class Keyed:
             add_texts(group[path], keys, value)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> dict[str, Any]:
-        """Read values and keys."""
+        """Return the mapping."""
         path, keys = self._keys(name)
         array = self.values.get(group, name, context)
         if f"{path}@{keys}" not in context.keys:
@@ -136,37 +136,37 @@ class Keyed:
 
 @dataclass(frozen=True)
 class Attributes:
-    """A mapping to numbers as the attributes of a group."""
+    """Codec of a mapping to numbers: attributes of a group."""
 
     each: Leaf
 
     def write(self, group: h5py.Group, name: str, value: Mapping[str, Any], context: Context) -> None:
-        """Make a group with the attributes."""
+        """Write the attributes to a new group."""
         own = group.create_group(name)
         for key, number in value.items():
             self.each.write(own, f"@{key}", number, context)
 
     def read(self, group: h5py.Group, name: str, context: Context) -> dict[str, Any]:
-        """Read the attributes."""
+        """Return the mapping."""
         own = read_group(group, name)
         return {key: self.each.read(own, f"@{key}", context) for key in own.attrs}
 
 
 @dataclass(frozen=True)
 class OneOf:
-    """A value of one of several types."""
+    """Codec of a value of one of several types."""
 
     codecs: tuple[Codec, ...]
     may_be_absent: bool
 
     def write(self, group: h5py.Group, name: str, value: Any, context: Context) -> None:
-        """Write the value as the first type that it fits; nothing for None."""
+        """Write the value as the first type that accepts it; nothing for None."""
         if value is None and self.may_be_absent:
             return
         self._first(lambda codec: codec.write(group, name, value, context))
 
     def read(self, group: h5py.Group, name: str, context: Context) -> Any:
-        """Read the value as the first type that it fits."""
+        """Return the value as the first type that accepts it; None when it is absent."""
         if self.may_be_absent and not _is_there(group, name):
             return None
         return self._first(lambda codec: codec.read(group, name, context))

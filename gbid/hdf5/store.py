@@ -1,4 +1,4 @@
-"""Dataclasses in HDF5 files: each field is written and read by its type, see `gbid.hdf5.Stored`."""
+"""Dataclasses in HDF5 files: each field is stored by its type, see `gbid.hdf5.Stored`."""
 
 from __future__ import annotations
 
@@ -20,43 +20,50 @@ def write_fields(group: h5py.Group, value: Any, units: Mapping[str, str] | None 
     Parameters
     ----------
     group : h5py.Group
+        The group.
     value : dataclass
+        The value.
     units : dict of str to str, optional
-        Units that only the value knows, by the word that its fields declare.
+        Units that depend on the value, by the word that its fields declare.
 
     Raises
     ------
     ValueError
-        When a field has another shape than it declares.
+        When the shape of a field differs from the declared one.
     """
     record(type(value)).put(group, value, units or {})
 
 
 def read_fields(group: h5py.Group, made: type[T], **given: Any) -> T:
-    """Read a dataclass from the group that `write_fields` wrote.
+    """Return the dataclass in a group of `write_fields`.
 
     Parameters
     ----------
     group : h5py.Group
-        Of a file that `gbid.hdf5.reading` opened, which turns what is wrong into a `gbid.errors.DataError`.
+        Group of a file opened by `gbid.hdf5.reading`, which converts errors to `gbid.errors.DataError`.
     made : type
         The dataclass.
     **given
         Fields that are not stored.
+
+    Returns
+    -------
+    dataclass
+        The value, of type `made`.
     """
     found: T = record(made).get(group, given)
     return found
 
 
 def save(value: Any, path: str | Path, kind: FileKind, overwrite: bool = False, **attributes: Any) -> None:
-    """Write a dataclass to a file of its own, with further attributes of its root.
+    """Write a dataclass to a file of its own, with further attributes of the root.
 
     Raises
     ------
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     with writing(path, kind, overwrite) as file:
         write_fields(file, value)
@@ -64,7 +71,7 @@ def save(value: Any, path: str | Path, kind: FileKind, overwrite: bool = False, 
 
 
 def load(path: str | Path, kind: FileKind, made: type[T]) -> T:
-    """Read what `save` stored.
+    """Return the dataclass in a file of `save`.
 
     Raises
     ------

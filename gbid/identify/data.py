@@ -1,4 +1,4 @@
-"""The inputs and outputs of a fit, taken from recordings and checked."""
+"""Inputs and outputs of a fit, selected from recordings and checked."""
 
 from __future__ import annotations
 
@@ -19,10 +19,13 @@ class Record:
     Attributes
     ----------
     name : str
+        Name of the recording.
     inputs : (n_samples, n_inputs) array
+        Inputs in SI units.
     outputs : (n_samples, n_outputs) array
+        Outputs in SI units.
     conditions : dict of str to float
-        What was held during the recording.
+        Operating point of the recording.
     """
 
     name: str
@@ -38,16 +41,18 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class FitData:
-    """What a fit works on: one or several records of the same channels and sample time.
+    """Data of a fit: one or several records with the same channels and sample time.
 
     Attributes
     ----------
     records : tuple of Record
+        Inputs and outputs of each recording.
     sample_time : float
         Time between samples [s].
     input_names, output_names : tuple of str
-        Channel names such as ``u_x``.
+        Names of the channels, such as ``u_x``.
     output_units : tuple of str
+        Units of the outputs.
     """
 
     records: tuple[Record, ...]
@@ -63,24 +68,28 @@ class FitData:
 
 
 def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list[str], list[str]]:
-    """Take signals or single channels of a recording side by side.
+    """Return signals or single channels of a recording as columns of one array.
 
     Parameters
     ----------
     recording : Recording
+        The recording.
     names : sequence of str
-        Signals (``"p"``: all channels) or channels (``"p.x"``). A signal of the very name comes first.
+        Signals (``"p"``: all channels) or channels (``"p.x"``). A signal with exactly this name comes first.
 
     Returns
     -------
     values : (n_samples, n) array
+        The channels as columns.
     channel_names : list of str
+        Names of the channels, such as ``p_x``.
     units : list of str
+        Units of the channels.
 
     Raises
     ------
     DataError
-        When the recording lacks a signal or channel.
+        When the recording has no such signal or channel.
     """
     columns: list[FloatArray] = []
     labels: list[str] = []
@@ -104,7 +113,7 @@ def select(recording: Recording, names: Sequence[str]) -> tuple[FloatArray, list
 
 
 def _meant(recording: Recording, name: str) -> tuple[str, str]:
-    """Signal and channel that a name means, the channel empty for all; names of both may have points in them."""
+    """Return the signal and channel of a name, the channel empty for all; both names may contain points."""
     at = [i for i, letter in enumerate(name) if letter == "."]
     readings = [(name, ""), *((name[:i], name[i + 1 :]) for i in at)]
     there = [each for each in readings if each[0] in recording.signals]
@@ -112,25 +121,27 @@ def _meant(recording: Recording, name: str) -> tuple[str, str]:
 
 
 def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequence[str], minimum: int) -> FitData:
-    """Gather a fit's data from recordings and check that they can carry one.
+    """Return the data of a fit from recordings, after checks.
 
     Parameters
     ----------
     recordings : sequence of Recording
+        The recordings.
     inputs, outputs : sequence of str
         Signals or channels.
     minimum : int
-        The least number of samples that a record must have.
+        Smallest number of samples of a record.
 
     Returns
     -------
     FitData
+        Data of all recordings.
 
     Raises
     ------
     DataError
-        When there is none, sample times or channels differ, a record is too short, an input never moves or an
-        output is constant.
+        When there are no recordings, sample times or channels differ, a record is too short, an input never moves, or
+        an output is constant.
     """
     if not recordings:
         raise DataError("no recordings to fit; give at least one")
@@ -141,7 +152,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
             raise DataError(
                 f"recordings {first.name!r} and {recording.name!r} have different sample times: "
-                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one or fit them apart"
+                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or fit them separately"
             )
         u, u_names, _ = select(recording, inputs)
         y, y_names, y_units = select(recording, outputs)

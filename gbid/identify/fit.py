@@ -1,4 +1,4 @@
-"""The fit, start to end."""
+"""Fit of a structure to recordings, from the arguments to the result."""
 
 from __future__ import annotations
 
@@ -57,67 +57,69 @@ def fit(
     engine: EngineName = "auto",
     progress: Callable[[Progress], None] | None = None,
 ) -> FitResult:
-    """Fit a structure to recordings by prediction errors (paper, Eq. 15) with multiple shooting.
+    """Return the fit of a structure to recordings by prediction errors (paper, Eq. 15) with multiple shooting.
 
     Parameters
     ----------
     structure : Structure
-        `RotorBearing`, `PiezoPair`, `Plant` or a `LinearStructure` of one's own.
+        `RotorBearing`, `PiezoPair`, `Plant` or a user's `LinearStructure`.
     recordings : Recording or sequence of Recording
-        Parameters are shared by all but those named in `local`; each has an initial state of its own.
+        Recordings to fit. They share all parameters except those in `local`; each has its own initial state.
     inputs, outputs : str or sequence of str, optional
-        Signals (``"p"``) or channels (``"p.x"``) of the recordings; the structure's own when not given.
+        Signals (``"p"``) or channels (``"p.x"``) of the recordings; by default those of the structure.
     focus : {"prediction", "simulation"}
-        Errors of a prediction with the disturbance gain, or of the model running on its own.
+        Errors of the prediction with the disturbance gain, or of the simulation without measured outputs.
     intersample : {"zoh", "foh"} or sequence, optional
-        Behaviour of the inputs between samples; the structure's own when not given.
+        Behaviour of the inputs between samples; by default that of the structure.
     criterion : {"trace", "det"}
-        Mean squared error summed over outputs, or the determinant of its matrix.
+        Mean squared error summed over outputs, or determinant of the mean square matrix of the errors.
     horizon : int
-        Steps ahead that are predicted; 1 is the paper's.
+        Number of steps of the prediction; 1 in the paper.
     output_weights : sequence of float, optional
-        Weight of each output's squared error in the trace; ones when not given.
+        Weight of the squared error of each output in the trace; default ones.
     start : dict of str to float, optional
-        Start values; what is not given comes from the structure, and for the built-in ones from the data.
+        Start values. Others come from the structure, and for built-in structures from the data.
     fixed : dict of str to float, optional
-        Parameters that keep a value; a disturbance gain held at 0 is none.
+        Parameters with fixed values. A disturbance gain fixed at 0 is left out of the model.
     bounds : dict of str to (lower, upper), optional
-        Bounds in place of the structure's.
+        Bounds that replace those of the structure.
     prior : dict of str to (value, std), optional
-        What is known beforehand, as normal: draws estimates towards nominal values.
+        Prior knowledge of parameters as normal distributions, in the units of the parameters.
     local : dict of str to {"recording", "operating_point"}, optional
-        Parameters with a value of their own for each recording or operating point.
+        Parameters with a separate value for each recording or operating point.
     offsets : bool
         Whether a constant offset of each output is estimated for each recording.
     initial_state : {"estimated", "zero"} or sequence of float
-        Initial state of every recording.
+        Initial state of each recording.
     left_out : dict of str to sequence of (start, stop), optional
-        Samples of recordings, by name, that do not count (a rub, a dropout): the model runs through them.
+        Samples of recordings, by name, whose errors do not count (a rub, a dropout). The model is simulated there.
     window : int, None or "auto"
-        Samples in a shooting window; None is single shooting. "auto" takes about 256 (prediction) or 128
-        (simulation), and tries others when that does not converge.
+        Number of samples in a shooting window; None is single shooting. "auto" is about 256 (prediction) or 128
+        (simulation), and tries other lengths when that fit does not converge.
     stop : {"tolerance", "paper"}
-        Far below the estimates' uncertainty or at IPOPT's tolerance, or the paper's rule (relative change below
-        1e-4).
+        "tolerance": steps far below the uncertainty of the estimates, or the tolerance of IPOPT. "paper": relative
+        change below 1e-4.
     max_iterations : int
+        Largest number of iterations.
     scaling : bool
-        Whether unknowns are scaled to the order of one; only a test would say no.
+        Whether unknowns are scaled to the order of one; false is for tests only.
     engine : {"auto", "compiled", "numpy"}
-        What runs the pass over the samples; "auto" compiles it where there is a C compiler.
+        Engine of the pass over the samples; "auto" compiles it if there is a C compiler.
     progress : callable, optional
-        Called with a `Progress` at each iteration.
+        Function that is called with a `Progress` at each iteration.
 
     Returns
     -------
     FitResult
-        Also when the solver did not converge: `status` and `success` tell.
+        The result, also when the solver did not converge; see `status` and `success`.
 
     Raises
     ------
     UsageError
-        For unknown names or options, bounds that exclude a start, a structure whose matrices do not fit.
+        When a name or option is unknown, bounds exclude a start value, or the matrices of the structure have wrong
+        shapes.
     DataError
-        For recordings that cannot carry the fit.
+        When the recordings are not sufficient for the fit.
     KeyboardInterrupt
         After Ctrl-C.
     """
@@ -177,20 +179,20 @@ def fit(
         result = outcome(structure, used, data, assembly, problem, solution, full, origin, options)
         return replace(result, notes=(*result.notes, *told))
 
-    # Small matrices: several BLAS threads only wait for one another. An unstable start overflows: the status says so.
+    # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         result = _best_of(attempt, window if window != "auto" else _ladder(data, focus))
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 
 def _ladder(data: FitData, focus: Focus) -> list[int | None]:
-    """Windows to try one after the other: the usual one, then shorter and longer ones."""
+    """Return the window lengths to try in turn: the default, then shorter and longer ones."""
     usual = automatic_window(data, focus)
     return [usual, max(16, usual // 2), 4 * usual]
 
 
 def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] | None) -> FitResult:
-    """Take the first attempt that converges; else the one with the smallest loss. Say which it was."""
+    """Return the first attempt that converges, else the one with the smallest loss; a note names the attempt."""
     if not isinstance(windows, list):
         return attempt(windows)
     tried: list[FitResult] = []
@@ -201,7 +203,7 @@ def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] 
             break
         if result.status is FitStatus.UNSTABLE_PREDICTOR:
             result = attempt(samples, gain_held=True)
-            note = "a free disturbance gain led to the edge of an unstable predictor: it was held at its start"
+            note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
             status = FitStatus.CONVERGED_GAIN_HELD if result.success else result.status
             return replace(result, status=status, notes=(*result.notes, note))
     else:
@@ -215,7 +217,7 @@ def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] 
 
 
 def _with_gain_held(structure: Structure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Hold what only the disturbance gain depends on."""
+    """Return the parameters with those fixed on which only the disturbance gain depends."""
     names = noise_names(structure)
     return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
 
@@ -238,7 +240,7 @@ def _check_options(
     if horizon < 1:
         raise UsageError(f"horizon = {horizon}; it must be at least 1")
     if horizon > 1 and focus == "simulation":
-        raise UsageError("horizon is for focus = 'prediction'; a simulation looks ahead without end")
+        raise UsageError("horizon is for focus = 'prediction'; a simulation has no horizon")
 
 
 def _with_options(
@@ -247,7 +249,7 @@ def _with_options(
     fixed: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]],
 ) -> tuple[Parameter, ...]:
-    """Put the caller's starts, fixed values and bounds in place of the structure's."""
+    """Return the parameters with the start values, fixed values and bounds of the caller."""
     for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
         known_names(parameters, given, what)
     changed = []
@@ -261,7 +263,7 @@ def _with_options(
 
 
 def _within(parameters: tuple[Parameter, ...], values: Mapping[str, float], stated: set[str]) -> dict[str, float]:
-    """Move start values found from the data into their bounds; stated ones were checked already."""
+    """Return start values with those from the data moved into their bounds; the caller's were checked before."""
     return {
         q.name: values[q.name] if q.name in stated else float(np.clip(values[q.name], q.lower, q.upper))
         for q in parameters

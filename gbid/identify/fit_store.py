@@ -1,4 +1,4 @@
-"""Fit results in HDF5. The tree is documented in docs/file-formats.md."""
+"""Fit results in HDF5; docs/file-formats.md describes the tree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gbid.identify.status import FitStatus
 
 
 def _from_schema_1(file: h5py.File) -> None:
-    """Options, other starts and status were texts in gbid 0.1.0."""
+    """Convert options, other starts and status, which were texts in gbid 0.1.0."""
     options = json.loads(hdf5.read_text(file, "options"))
     hold = options["intersample"].split()
     local_names = json.loads(hdf5.read_text(file, "local_names"))
@@ -39,7 +39,7 @@ def _from_schema_1(file: h5py.File) -> None:
 
 
 def status_of_text(text: str, *, success: bool) -> FitStatus:
-    """Return the status of a text; of version 0.1.0, which added words of its own, the nearest one."""
+    """Return the status of a text. Version 0.1.0 added further words; for these it is the nearest status."""
     if text in list(FitStatus):
         return FitStatus(text)
     stem = text.partition(", with the disturbance gain held")[0]
@@ -57,12 +57,13 @@ def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: 
     Parameters
     ----------
     result : FitResult
+        The result.
     path : path
         The file; missing folders are made.
     overwrite : bool
         Whether an existing file may be replaced.
     key : str
-        What the result was made from, as a caller may want to know it again.
+        Text that identifies settings and data of the fit; stored as attribute ``key``.
 
     Raises
     ------
@@ -75,15 +76,17 @@ def save_fit(result: FitResult, path: str | Path, overwrite: bool = False, key: 
 
 
 def load_fit(path: str | Path) -> FitResult:
-    """Read a fit result from an HDF5 file.
+    """Return the fit result in an HDF5 file.
 
     Parameters
     ----------
     path : path
+        The file.
 
     Returns
     -------
     FitResult
+        The result.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A fit from several starts: for structures of one's own, whose good starts nobody knows."""
+"""Fits from several starts, for user structures without good start values."""
 
 from __future__ import annotations
 
@@ -19,19 +19,20 @@ from gbid.structure import Structure
 
 @dataclass(frozen=True, eq=False)
 class MultiStart:
-    """Fits from several starts.
+    """Results of fits from several starts.
 
     Attributes
     ----------
     best : FitResult
-        The converged one of smallest loss; of all, when none converged. Its `multi_start` counts the others.
+        Converged fit with the smallest loss; of all fits when none converged. Its `multi_start` counts the others.
     losses : (n_starts,) array
-        In the order of the starts, the first being the structure's own; nan where a start overflowed.
+        Losses in the order of the starts, the first from the structure's own start; nan for a start that overflowed.
     converged : (n_starts,) boolean array
+        Whether each fit converged.
     same_optimum : int
-        How many converged to the best loss, within a relative 1e-6.
+        Number of fits that converged to the best loss, within a relative 1e-6.
     spread : float
-        Largest over smallest converged loss; 1 when all agree.
+        Largest over smallest converged loss; 1 when all are equal.
     """
 
     best: FitResult
@@ -56,30 +57,33 @@ def fit_multistart(
     reach: float = 0.5,
     **options: Any,
 ) -> MultiStart:
-    """Fit from the structure's own start and from random ones.
+    """Return fits from the start of the structure and from random starts.
 
     Parameters
     ----------
     structure : Structure
+        Structure to fit.
     recordings : Recording or sequence of Recording
+        Recordings to fit.
     starts : int
-        Number of starts, the structure's own included.
+        Number of starts, with the structure's own.
     seed : int
-        Of the random starts.
+        Seed of the random starts.
     reach : float
-        A parameter without two finite bounds is drawn within ``start (1 +- reach)``, one that starts at zero
-        within ``+- reach``; one with two bounds anywhere between them.
+        Range of the random starts. A parameter with two finite bounds is drawn between them. Others are drawn within
+        ``start (1 +- reach)``, or within ``+- reach`` when their start is zero.
     **options
-        As for `fit`.
+        Arguments of `fit`.
 
     Returns
     -------
     MultiStart
+        Results of all starts.
 
     Raises
     ------
     UsageError
-        For fewer than one start, a parameter without a start value, and whatever `fit` raises.
+        When there is less than one start or a parameter has no start value, and for the errors of `fit`.
     """
     if starts < 1 or reach <= 0:
         raise UsageError(f"starts = {starts} must be at least 1 and reach = {reach} positive")
@@ -89,7 +93,7 @@ def fit_multistart(
     fixed = set(options.get("fixed") or {})
     bounds = options.get("bounds") or {}
     own = first.own_names
-    centres = {own.get(name, name): first.start[name] for name in first.free}  # local ones draw one for all groups
+    centres = {own.get(name, name): first.start[name] for name in first.free}  # one draw for all values of a local one
     results = [first]
     for _ in range(starts - 1):
         drawn = dict(asked)

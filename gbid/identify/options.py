@@ -1,4 +1,4 @@
-"""Options of a fit, kept with its result."""
+"""Options of a fit, stored with its result."""
 
 from __future__ import annotations
 
@@ -14,26 +14,30 @@ from gbid.identify.predictor import Focus
 
 @dataclass(frozen=True)
 class FitOptions:
-    """What a fit was asked for, and what it took where it had the choice.
+    """Options of a fit, with the choices that it made itself.
 
     Attributes
     ----------
     inputs, outputs : tuple of str
-        Signals or channels, as they were named.
+        Signals or channels, as the caller named them.
     focus : {"prediction", "simulation"}
+        Focus of the errors.
     horizon : int
-        Steps ahead that were predicted.
+        Number of steps of the prediction.
     intersample : tuple of {"zoh", "foh"}
-        Behaviour between samples of each channel of the inputs.
+        Behaviour between samples of each input channel.
     criterion : {"trace", "det"}
+        Criterion.
     stop : {"tolerance", "paper"}
+        Stopping rule.
     initial_state : {"estimated", "zero", "given"}
+        Initial state of each recording.
     offsets : bool
         Whether a constant offset of each output was estimated.
     window : int or None
-        Samples in a shooting window; None for one window per recording.
+        Number of samples in a shooting window; None for one window per recording.
     engine : {"compiled", "numpy"}
-        What ran the pass over the samples.
+        Engine of the pass over the samples.
     """
 
     inputs: tuple[str, ...]

@@ -1,4 +1,4 @@
-"""From the solver's answer to estimates with their uncertainty."""
+"""Evaluation of a fit at the solution: estimates, their uncertainty, status and notes."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_ga
 from gbid.identify.uncertainty.whiteness import correlation_length, whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
-_COLOURED = 0.01  # probability below which residuals do not count as white, shared by the outputs
-_MOST_DIRECTIONS = 3  # more are a failed fit rather than something to name one by one
-_NEAR = 1e-6  # of a parameter's scale: it lies on its bound
-_NEAR_IN_STD = 1e-3  # so does one that is nearer to it than this part of its standard deviation
+_COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
+_MOST_DIRECTIONS = 3  # largest number of undetermined directions that are listed one by one
+_NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
+_NEAR_IN_STD = 1e-3  # the same as a part of its standard deviation
 
 
 def outcome(
@@ -39,24 +39,25 @@ def outcome(
     origin: Mapping[str, str],
     options: FitOptions,
 ) -> FitResult:
-    """Evaluate a fit where its solver stopped.
+    """Return the result of a fit, evaluated at the solution.
 
     Parameters
     ----------
     structure, parameters, data, assembly, problem
-        What was fitted.
+        Model, data and nonlinear programme of the fit.
     solution : Solution
-        Where the solver stopped.
+        Last iterate of the solver, with its status.
     begin : dict of str to float
         Start values by full name.
     origin : dict of str to str
-        Where each start came from.
+        Origin of each start value.
     options : FitOptions
+        Options of the fit.
 
     Returns
     -------
     FitResult
-        Without its wall time.
+        The result, without its wall time.
     """
     free = assembly.free
     theta, starts = problem.unpack(solution.unknowns)
@@ -80,7 +81,7 @@ def outcome(
     on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
     found = uncertainty(on_bound)
     pressed = on_bound | _on_bound(free, theta, _NEAR_IN_STD * np.sqrt(np.diag(found.white)))
-    if (pressed != on_bound).any():  # the solver stops a little inside of a bound that holds it
+    if (pressed != on_bound).any():  # the solver stops slightly inside of an active bound
         on_bound = pressed
         found = uncertainty(on_bound)
     chosen = found.white if trusted == "white" else found.robust
@@ -136,7 +137,7 @@ def outcome(
 
 
 def _by_record(problem: Shooting, errors: list[FloatArray], assembly: Assembly) -> list[FloatArray]:
-    """Errors in the order of the records' samples, (n_samples, n_y) each, left-out samples zero."""
+    """Return the errors in the order of the samples of each record, (n_samples, n_y); zero for left-out samples."""
     by_window: dict[int, FloatArray] = {}
     for e, part, first in zip(errors, problem.parts, problem.first_window[:-1], strict=True):
         for window, rows in zip(part.blocks.segment_first, part.blocks.by_segment(e), strict=True):
@@ -217,18 +218,18 @@ def _notes(
         notes += [_undetermined(direction, names) for direction in found.undetermined]
     if trusted == "robust":
         notes.append(
-            "the residuals are not white: standard deviations are the robust ones, and do not cover what the "
-            "structure leaves out"
+            "the residuals are not white: standard deviations are the robust ones, and do not contain the error of "
+            "the structure itself",
         )
     if not np.isnan(found.flatness) and found.flatness < FLATTEST:
         notes.append(
-            "this is no minimum of the criterion, or one that is flat in some direction: standard deviations have "
-            "Gauss-Newton's curvature, and are too small; try other start values (fit_multistart)"
+            "this is not a minimum of the criterion, or it is flat in some direction: standard deviations use the "
+            "Gauss-Newton curvature, and are too small; try other start values (fit_multistart)"
         )
     if assembly.unused:
-        notes.append(f"not seen by simulation focus, set to 0: {', '.join(assembly.unused)}")
+        notes.append(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}")
         held = [name for name in assembly.unused if begin[name] != 0]
-        notes += [f"their start values were left aside: {', '.join(held)}"] if held else []
+        notes += [f"their start values were not used: {', '.join(held)}"] if held else []
     return (*notes, *assembly.notes)
 
 
@@ -236,18 +237,18 @@ def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
     if not problem.at_edge(theta):
         return ()
     return (
-        "the disturbance gain lies at the edge of an unstable predictor: the record is too short to tell it; "
-        "hold it (fixed=...) or use focus='simulation'",
+        "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
+        "fix it (fixed=...) or use focus='simulation'",
     )
 
 
 def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_]) -> str:
-    """Say which parameters a direction without information holds, and what of them is determined."""
+    """Return a note on a direction without information: its parameters, and what of them is determined."""
     strong = np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
     involved = ", ".join(names[strong])
     if len(strong) == 1:
-        return f"the data do not determine {involved}: its input or state is not excited; hold it (fixed=...)"
-    return f"the data do not determine {involved} apart, only a combination of them; hold one (fixed=...)"
+        return f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)"
+    return f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)"
 
 
 def _standard_deviations(
@@ -270,7 +271,7 @@ def _standard_deviations(
 def _propagated(
     problem: Shooting, theta: FloatArray, chosen: FloatArray, model: LinearModel
 ) -> tuple[FloatArray, FloatArray]:
-    """Propagate the covariance to modes and static gain of the first part's model."""
+    """Return the standard deviations of modes and static gain of the first part's model."""
     part = problem.parts[0]
     A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
     own = chosen[np.ix_(part.index, part.index)]

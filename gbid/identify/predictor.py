@@ -1,4 +1,4 @@
-"""The predictor of a linear structure, discretised, with its parameter derivatives."""
+"""Predictor of a linear structure in discrete time, with derivatives by its parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Focus = Literal["prediction", "simulation"]
 
 
 class PredictorValues(NamedTuple):
-    """Numbers of the recursion at one parameter vector.
+    """Matrices of the predictor at one parameter vector.
 
     ``x[k+1] = F x[k] + G z[k]``, ``yhat[k + horizon - 1] = C x[k] + H z[k]`` with the regressors of
     `Predictor.regressors`, and the derivatives with respect to the free parameters.
@@ -34,15 +34,23 @@ class PredictorValues(NamedTuple):
     Attributes
     ----------
     F : (n, n)
+        State matrix.
     G : (n, n_z)
+        Matrix from the regressors to the state.
     C : (n_y, n)
+        Output matrix.
     H : (n_y, n_z)
+        Matrix from the regressors to the outputs.
     dF : (n_p, n, n)
+        Derivatives of F.
     dG : (n_p, n, n_z)
+        Derivatives of G.
     dC : (n_p, n_y, n)
+        Derivatives of C.
     dH : (n_p, n_y, n_z)
+        Derivatives of H.
     shift : tuple of int
-        Whole samples in the delay of each delayed input: says which regressors these numbers belong to.
+        Whole samples in the delay of each delayed input; these determine the regressors.
     """
 
     F: FloatArray
@@ -58,29 +66,30 @@ class PredictorValues(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Predictor:
-    """A structure made ready for one set of free parameters, sample time, hold and focus.
+    """Predictor of a structure for one set of free parameters, sample time, hold and focus.
 
     Attributes
     ----------
     free : tuple of Parameter
-        The parameters to be estimated, in order.
+        Parameters to estimate, in order.
     noise : tuple of int
-        Those of them, by position, that only the disturbance gain depends on.
+        Positions of the free parameters on which only the disturbance gain depends.
     unused : tuple of str
-        Parameters that this focus does not see (the disturbance gain in simulation focus).
+        Parameters without effect for this focus (the disturbance gain in simulation focus).
     n_states, n_inputs, n_outputs : int
+        Numbers of states, inputs and outputs.
     holds : tuple of {"zoh", "foh"}
         Behaviour of each input between samples.
     prompt, delayed : tuple of int
-        Inputs that act at once, and through an exact delay.
+        Inputs without delay, and inputs with an exact delay.
     feeds_back : bool
         Whether measured outputs are regressors.
     offsets : bool
         Whether the last free parameters are constant offsets of the outputs.
     horizon : int
-        Steps ahead that are predicted.
+        Number of steps of the prediction.
     sample_time : float
-        [s].
+        Time between samples [s].
     """
 
     free: tuple[Parameter, ...]
@@ -101,16 +110,16 @@ class Predictor:
 
     @property
     def _lead(self) -> list[int]:
-        """Prompt inputs whose next sample is a regressor too."""
+        """Prompt inputs whose next sample is also a regressor."""
         return [i for i in self.prompt if self.holds[i] == "foh"]
 
     def at(self, theta: FloatArray) -> PredictorValues:
-        """Evaluate at values of the free parameters, shape (n_free,).
+        """Return the matrices at values of the free parameters, shape (n_free,).
 
         Raises
         ------
         UsageError
-            For a negative exact delay.
+            When an exact delay is negative.
         """
         A, B, C, D, K, B_delayed, delay = self.matrices(theta)
         n_p, n_y = len(self.free), self.n_outputs
@@ -122,7 +131,7 @@ class Predictor:
         joined = side_by_side(acting) if acting else constant(np.zeros((self.n_states, 0)), n_p)
         F, now, following = discretise(A, joined, self.sample_time, holds)
         Kd = now.columns(slice(len(prompt), None))
-        # What the inputs do, without feedback, in the order of the regressors: state part, then output part.
+        # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
         drives, shift = [now.columns(slice(0, len(prompt)))], []
         feeds = [D.columns(prompt)]
         if lead:
@@ -150,12 +159,12 @@ class Predictor:
         return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
 
     def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
-        """Regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
+        """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
 
-        Row k holds: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each delayed input
-        its samples around ``k - shift``; a one where offsets are estimated; ``y[k]`` where the disturbance gain
-        is in use; and all but the last again for the following samples of a longer horizon. Before the record
-        an input is taken to have stood at its first sample; after it, at its last, which enters no prediction.
+        Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
+        delayed input its samples around ``k - shift``; a one if offsets are estimated; ``y[k]`` if the disturbance gain
+        is used; and all but the last again for the following samples of a longer horizon. Before the record an input is
+        constant at its first sample. After it the input is constant at its last sample, which enters no prediction.
         """
         n = len(inputs)
 
@@ -181,7 +190,7 @@ class Predictor:
         return outputs[self.horizon - 1 :]
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
-        """Continuous matrices with their derivatives."""
+        """Return the continuous-time matrices with their derivatives."""
         n_p = len(self.free)
         flat, jacobian = (np.asarray(m, float) for m in self._function(theta))
         flat = flat[:, 0]
@@ -205,37 +214,39 @@ def build_predictor(
     offset_names: Sequence[str] = (),
     horizon: int = 1,
 ) -> Predictor:
-    """Make a structure ready for a fit.
+    """Return the predictor of a structure for a fit.
 
     Parameters
     ----------
     structure : Structure
+        The structure.
     fixed : dict of str to float
-        Parameters that keep a value.
+        Parameters with fixed values.
     sample_time : float
         Time between samples [s].
     intersample : {"zoh", "foh"} or sequence of these
         Behaviour of the inputs between samples.
     focus : {"prediction", "simulation"}
-        Whether the disturbance gain feeds measured outputs back (Eqs. 10, 15) or the model runs on its own.
+        Whether the disturbance gain feeds measured outputs back (Eqs. 10, 15), or the model is simulated without them.
     offset_names : sequence of str
-        One name per output to estimate constant offsets; none otherwise.
+        Names of the constant offsets of the outputs; empty when none are estimated.
     horizon : int
-        Steps ahead to predict.
+        Number of steps of the prediction.
 
     Returns
     -------
     Predictor
+        The predictor.
 
     Raises
     ------
     UsageError
-        When nothing is left to estimate.
+        When no free parameter remains.
 
     Notes
     -----
-    The continuous model with input u and disturbance e is discretised exactly, u held as asked and e held
-    between samples; with ``e[k] = y[k] - C x[k] - D u[k]`` the predictor is
+    The continuous model with input u and disturbance e is discretised exactly, with the given hold of u and e constant
+    between samples. With ``e[k] = y[k] - C x[k] - D u[k]`` the predictor is
     ``x[k+1] = (Ad - Kd C) x[k] + (Bd - Kd D) u[k] + Kd y[k]``.
     """
     p, m = symbolic_matrices(structure)
@@ -281,7 +292,7 @@ def build_predictor(
 
 
 def noise_names(structure: Structure) -> frozenset[str]:
-    """Parameters of a structure that only its disturbance gain depends on."""
+    """Return the names of the parameters on which only the disturbance gain depends."""
     return _only_in_gain(symbolic_matrices(structure)[1])
 
 
@@ -291,12 +302,12 @@ def _only_in_gain(m: Matrices) -> frozenset[str]:
 
 
 def _driven(matrix: ca.SX) -> list[int]:
-    """Columns of a matrix that have entries."""
+    """Return the columns of a matrix that have entries."""
     return sorted(set(matrix.sparsity().get_triplet()[1]))
 
 
 def _offset_column(offsets: FloatArray, n_p: int) -> Dual:
-    """Column that adds the last parameters to the outputs."""
+    """Return the column that adds the last parameters to the outputs."""
     n_y = len(offsets)
     slope = np.zeros((n_p, n_y, 1))
     slope[-n_y:, :, 0] = np.eye(n_y)
@@ -306,7 +317,7 @@ def _offset_column(offsets: FloatArray, n_p: int) -> Dual:
 def _look_ahead(
     parts: tuple[Dual, Dual, Dual, Dual], A: Any, drive: Any, C: Any, feed: Any, horizon: int
 ) -> tuple[Dual, Dual, Dual, Dual]:
-    """Carry a one-step predictor on, without new measurements, to a longer horizon.
+    """Return a one-step predictor extended to a longer horizon without new measurements.
 
     ``yhat[k+h-1] = C A^(h-1) x[k] + sum_i C A^(h-2-i) drive z[k+i] + feed z[k+h-1]``.
     """

@@ -1,4 +1,4 @@
-"""What a fit gives."""
+"""Result of a fit."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from gbid.structure import LinearModel
 
 
 def _of_each(at: str, words: str) -> Stored:
-    """Numbers of all parameters, whose names stand beside them."""
+    """Return the declaration of numbers of all parameters, with the names as an attribute."""
     return Stored("as attribute units", words, "n", f"parameters/{at}", "parameters@names")
 
 
@@ -31,17 +31,18 @@ def _of_free(at: str, words: str) -> Stored:
 
 @dataclass(frozen=True)
 class StartsTried:
-    """How the fits from several starts ended.
+    """Counts of fits from several starts.
 
     Attributes
     ----------
     starts : int
+        Number of starts.
     seed : int
-        Of the random starts.
+        Seed of the random starts.
     converged : int
-        How many converged.
+        Number of fits that converged.
     agreed : int
-        How many converged to the best loss.
+        Number of fits that converged to the best loss.
     spread : float
         Largest over smallest converged loss; inf when none converged.
     """
@@ -55,7 +56,7 @@ class StartsTried:
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """Estimates of a fit, their uncertainty, and how they came about.
+    """Estimates of a fit, their uncertainty, status and options.
 
     Attributes
     ----------
@@ -64,30 +65,32 @@ class FitResult:
     recordings : tuple of str
         Names of the recordings.
     parameters : dict of str to float
-        All parameters: estimated, fixed and unused. One local to a group of recordings is there once for each
-        group, named ``name[group]``; `parameters_of` gives those of one recording under their own names.
+        All parameters: estimated, fixed and unused. A local parameter has one entry ``name[group]`` for each group of
+        recordings; `parameters_of` returns those of one recording under their own names.
     std : dict of str to float
-        Standard deviations from `covariance`; 0 for a fixed parameter, nan for one that has none: on a bound,
-        not seen by the focus, or not determined by the data (`notes` says which).
+        Standard deviations from `covariance`. They are 0 for a fixed parameter, and nan for a parameter on a bound,
+        without effect for the focus, or not determined by the data (see `notes`).
     units : dict of str to str
+        Units of the parameters.
     free : tuple of str
-        The estimated parameters, in the order of `covariance`.
+        Estimated parameters, in the order of `covariance`.
     covariance : (n_free, n_free) array
-        The one to trust: `covariance_white` or `covariance_robust`, as `trusted` says.
+        Covariance to use: `covariance_white` or `covariance_robust`, as `trusted` says.
     covariance_white, covariance_robust : (n_free, n_free) array
-        For white residuals, and for residuals of any colour.
+        Covariance for white residuals, and for coloured residuals.
     trusted : {"white", "robust"}
-        Which the test of the residuals speaks for.
+        Covariance that the whiteness test of the residuals selects.
     whiteness : (n_outputs,) array
-        Probability that white residuals would look less white (Ljung-Box); below 0.01 over the number of outputs
-        they count as coloured.
+        p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
+        outputs.
     modes_std : (n_modes, 2) array
         Standard deviations of ``model.modes()``: natural frequency [Hz] and damping factor.
     static_gain_std : (n_outputs, n_inputs) array
-        Standard deviations of ``model.static_gain()``; nan for a model that integrates.
+        Standard deviations of ``model.static_gain()``; nan for a model with a pole at zero.
     initial_states : (n_recordings, n_states) array
+        Initial state of each recording.
     loss : float
-        Mean squared error summed over outputs, or the determinant of the errors' mean square for criterion "det".
+        Mean squared error summed over outputs; for criterion "det" the determinant of `error_covariance`.
     error_covariance : (n_outputs, n_outputs) array
         Mean square of the errors.
     fit_percent : (n_recordings, n_outputs) array
@@ -95,28 +98,29 @@ class FitResult:
     aic, fpe : float
         Akaike's information criterion and final prediction error.
     condition : float
-        Condition of the scaled information: how well the data tell the parameters apart.
+        Condition number of the scaled information matrix; large when the data hardly separate parameters.
     status : FitStatus
-        Its text says what to try next when it did not converge.
+        Status; its text gives advice when the fit did not converge.
     iterations : int
+        Number of iterations.
     wall_time_s : float
-        Of the whole fit, start values and covariance included.
+        Time of the whole fit [s], with start values and covariance.
     start : dict of str to float
-        Where the parameters started.
+        Start values.
     start_origin : dict of str to str
-        Where each start came from: ``"data"``, ``"user"`` or ``"structure"``.
+        Origin of each start value: ``"data"``, ``"user"`` or ``"structure"``.
     notes : tuple of str
-        What a reader should know: bounds reached, parameters not determined, which pass was run.
+        Notes: active bounds, parameters that are not determined, engine of the pass.
     options : FitOptions
-        What was asked: focus, intersample, criterion, window, stop and so on.
+        Options of the fit: focus, intersample, criterion, window, stop and so on.
     model : LinearModel
         The structure at the estimates, in continuous time; with local parameters, those of the first recording.
     sample_time : float
         Time between samples [s].
     local_names : dict of str to dict
-        For each recording, the full names of its local parameters by their own; empty without.
+        For each recording, the full names of its local parameters by their own names; empty without local parameters.
     multi_start : StartsTried or None
-        How other starts ended; None where there was one start.
+        Counts of the fits from other starts; None for a fit from one start.
     """
 
     structure: str
@@ -170,16 +174,21 @@ class FitResult:
 
     @property
     def own_names(self) -> dict[str, str]:
-        """The structure's name of each local parameter by its full name."""
+        """Names of the local parameters in the structure, by full name."""
         return {full: own for names in self.local_names.values() for own, full in names.items()}
 
     def parameters_of(self, recording: str) -> dict[str, float]:
-        """Parameters as one recording has them, under the structure's names.
+        """Return the parameters of one recording under the names of the structure.
 
         Parameters
         ----------
         recording : str
-            Its name.
+            Name of the recording.
+
+        Returns
+        -------
+        dict of str to float
+            Values by name.
 
         Raises
         ------
@@ -194,12 +203,17 @@ class FitResult:
         return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
 
     def std_with(self, kind: Literal["white", "robust"]) -> dict[str, float]:
-        """Return standard deviations by one of the two covariances, whichever is trusted.
+        """Return the standard deviations from one of the two covariances.
 
         Parameters
         ----------
         kind : {"white", "robust"}
-            Which covariance.
+            Covariance to use.
+
+        Returns
+        -------
+        dict of str to float
+            Standard deviations by name.
         """
         chosen = self.covariance_white if kind == "white" else self.covariance_robust
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))

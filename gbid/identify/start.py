@@ -1,8 +1,8 @@
-"""Start values from the data alone, for the built-in structures.
+"""Start values from data, for the built-in structures.
 
-In the frequency domain a model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients once the delays are
-given, so a fit costs a least squares over some hundred frequencies. What a record's ends add to the transform
-of a derivative is a polynomial in s and is estimated along.
+In the frequency domain a model ``sum_i theta_i R_i(s) = 0`` is linear in its coefficients for given delays. A fit then
+is a least-squares problem over some hundred frequencies. The ends of a record add a polynomial in s to the transform
+of a derivative; the polynomial is estimated together with the coefficients.
 """
 
 from __future__ import annotations
@@ -20,31 +20,32 @@ from gbid.identify.data import FitData, Record
 from gbid.structure import PiezoPair, Plant, RotorBearing, evaluate
 from gbid.structure.rotor_bearing import AXES, PAIRS
 
-_FREQUENCIES = 800  # in the band of the resonance: the modes are far wider than the distance of the rest
-_ENOUGH = 50_000  # samples of a record that start values are taken from; the fit itself takes all
+_FREQUENCIES = 800  # largest number in the band of the resonance; modes are much wider than their distance
+_ENOUGH = 50_000  # largest number of samples of a record for start values; the fit uses all
 
 
 @singledispatch
 def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> dict[str, float]:  # noqa: ARG001
-    """Find start values of the parameters that have none.
+    """Return start values of all parameters that have none.
 
     Parameters
     ----------
     structure : Structure
-        A built-in structure; one of a user's own must state its starts.
+        A built-in structure; a user's structure must state its start values.
     data : FitData
+        Data of the fit.
     given : dict of str to float
-        Values that are known already (fixed, or a user's own start).
+        Known values (fixed, or start values of the user).
 
     Returns
     -------
     dict of str to float
-        Values by name, `given` included.
+        Values by name, with those of `given`.
 
     Raises
     ------
     UsageError
-        When the structure has no way to find them.
+        When there is no method to find start values for the structure.
     """
     missing = [q.name for q in structure.parameters if q.name not in given]
     if missing:
@@ -80,8 +81,8 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
     needed = [q.name for q in structure.actuators.parameters if q.name not in given]
     if needed:
         raise UsageError(
-            f"structure {structure.name!r} from r to p alone cannot tell the actuators from the bearing: "
-            f"hold {', '.join(needed)} (fixed=...) or explain u as well"
+            f"structure {structure.name!r} from r to p alone does not determine the actuators: "
+            f"fix {', '.join(needed)} (fixed=...) or add u to the outputs"
         )
     model = evaluate(structure.actuators, given)
     records = tuple(
@@ -108,19 +109,20 @@ def _zero_unless_found(structure: Any, found: Mapping[str, float]) -> dict[str, 
 
 
 def _spectrum(values: FloatArray, sample_time: float) -> tuple[FloatArray, ComplexArray]:
-    """Angular frequencies (n_f,) and transforms (n_f, n) of a record's samples, without the mean."""
+    """Return angular frequencies (n_f,) [rad/s] and transforms (n_f, n) of a record's samples without the mean."""
     transform = np.fft.rfft(values - values.mean(0), axis=0) * sample_time
     return np.asarray(2 * np.pi * np.fft.rfftfreq(len(values), sample_time), float), transform
 
 
 def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
-    """Band around the resonance [rad/s]: where the two modes show.
+    """Return the band around the resonance [rad/s], which contains the two modes.
 
-    The peak of ``|P|^2 / |U|``, the mean of power and gain: power alone may peak where the input is strong (a PRBS has
-    little to give at the inverse of its hold), gain alone where both are noise.
+    Its centre is the peak of ``|P|^2 / |U|``, the geometric mean of power and gain. Power alone may have a peak where
+    the input is strong: a PRBS has little power at the inverse of its hold time. Gain alone may have one where both are
+    noise.
     """
     totals: dict[int, FloatArray] = {}
-    resolution = 2.0  # Hz: wide enough to smooth, narrow against the distance of modes from zero
+    resolution = 2.0  # Hz: smooths the spectrum, and is small compared with the frequencies of the modes
     for record in records:
         omega, U = _spectrum(record.inputs, sample_time)
         _, P = _spectrum(record.outputs, sample_time)
@@ -128,7 +130,7 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
         binned = np.array([np.bincount(bins, (np.abs(values) ** 2).sum(1)) for values in (U, P)])
         totals[binned.shape[1]] = totals.get(binned.shape[1], np.zeros_like(binned)) + binned
     drive, response = totals[max(totals)]
-    response[: int(10 / resolution)] = 0.0  # drift and creep are no resonance
+    response[: int(10 / resolution)] = 0.0  # excludes drift and creep
     amplitude = np.sqrt(drive)
     strength = response / (amplitude + 1e-3 * amplitude.max())
     peak = 2 * np.pi * resolution * (int(np.argmax(strength)) + 0.5)
@@ -136,7 +138,7 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
 
 
 def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
-    """Least squares for K, D, B given the delays; a grid and a simplex over the two delays."""
+    """Return K, D and B by least squares for given delays; a grid and a simplex search find the two delays."""
     records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
     low, high = _resonance_band(records, sample_time)
     known, targets, drives, omegas = [], [], [], []
@@ -169,7 +171,7 @@ def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_
         return _real(complex_drive * np.exp(-1j * omega[:, None] * tau))
 
     def unexplained(columns: FloatArray) -> float:
-        """Return what two projected columns leave of the rest, up to a constant."""
+        """Return the residual of two projected columns, up to a constant."""
         share = columns.T @ rest
         return -float((share * np.linalg.lstsq(columns.T @ columns, share, rcond=None)[0]).sum())
 
@@ -205,7 +207,7 @@ def _rotor_bearing(structure: RotorBearing, records: tuple[Record, ...], sample_
 
 
 def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: float) -> tuple[float, float, float]:
-    """Poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r held between samples."""
+    """Return poles [rad/s] and gain of ``u + a1 ud + a2 udd = kappa r`` with r constant between samples."""
     rows: list[ComplexArray] = []
     targets: list[ComplexArray] = []
     laplace: list[ComplexArray] = []
@@ -223,7 +225,7 @@ def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: fl
         laplace.append(np.asarray(s, complex))
     base, target, s = (np.concatenate(parts) for parts in (rows, targets, laplace))
     a1 = a2 = gain = 0.0
-    for _ in range(4):  # Sanathanan-Koerner: weigh by the last denominator, which makes it an output error
+    for _ in range(4):  # Sanathanan-Koerner: weights 1 / last denominator, for the output error
         weight = 1 / (1 + a1 * s + a2 * s**2)
         columns = _real(base * weight)
         size = np.linalg.norm(columns, axis=0)
@@ -232,7 +234,7 @@ def _second_order_lag(records: tuple[Record, ...], channel: int, sample_time: fl
 
 
 def _real_poles(a1: float, a2: float, sample_time: float) -> tuple[float, float]:
-    """Slow and fast pole of ``1 + a1 s + a2 s^2``, the nearest real pair where they are complex or unstable."""
+    """Return slow and fast pole of ``1 + a1 s + a2 s^2``; the nearest real stable pair for other poles."""
     fastest = 10 / sample_time
     a1 = max(a1, 2 / fastest)
     if a2 <= 0:

@@ -1,4 +1,4 @@
-"""Status of a fit: why its solver stopped."""
+"""Status of a fit: the reason why the solver stopped."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from enum import StrEnum
 
 
 class FitStatus(StrEnum):
-    """Why a solver stopped, each member in words with what to try next.
+    """Reason why a solver stopped, with advice.
 
-    Members compare with each other; `success` tells the good ones.
+    Members are compared with each other; `success` tells whether the fit converged.
     """
 
     CONVERGED = "converged"

@@ -582,7 +582,7 @@ def test_a_structure_of_ones_own_must_state_its_starts():
 
 def test_a_plant_without_u_must_know_its_actuators():
     rec = simulated(Plant(), {**ACTUATORS, **KEY, **GAINS}, 4.5e-6 * levels(800, 2, 40), h=TS)
-    with pytest.raises(UsageError, match="hold p1_x, p2_x, kappa_x, p1_y, p2_y, kappa_y"):
+    with pytest.raises(UsageError, match="fix p1_x, p2_x, kappa_x, p1_y, p2_y, kappa_y"):
         fit(Plant(outputs="p"), rec)
 
 

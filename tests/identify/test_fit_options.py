@@ -630,7 +630,7 @@ def test_the_plant_without_its_actuators_is_refused_or_named():
     plant = Plant(RotorBearing(disturbance_gain="none"))
     rec = simulated(plant, {**ACTUATORS, **KEY}, 4.5e-6 * levels(2500, 2, 40), h=TS, noise=1e-9)
     alone = Plant(plant.bearing, outputs="p")
-    with pytest.raises(UsageError, match="cannot tell the actuators from the bearing: hold p1_x"):
+    with pytest.raises(UsageError, match="does not determine the actuators: fix p1_x"):
         fit(alone, rec)
     result = fit(alone, rec, start=ACTUATORS, window=156)
     dark = [name for name in result.free if np.isnan(result.std[name])]

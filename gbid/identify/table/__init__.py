@@ -1,1 +1,1 @@
-"""One table of many fits, and its file."""
+"""Table of many fits, and its file."""

@@ -1,4 +1,4 @@
-"""Many fits in one table: the result of a campaign."""
+"""Table of many fits: the result of a campaign."""
 
 from __future__ import annotations
 
@@ -23,50 +23,55 @@ _GAIN = ("static_gain", "static_gain_std")
 
 @dataclass(frozen=True, eq=False)
 class FitTable:
-    """One row for each fit of a campaign, those that failed included.
+    """Table with one row for each fit of a campaign, with failed fits.
 
-    n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table: what a
-    fit does not have is nan. A fit that failed has nan throughout and its reason in `status`.
+    n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table. Values
+    that a fit does not have are nan. A failed fit has nan in all columns and its reason in `status`.
 
     Attributes
     ----------
     fit : (n,) array of str
         Name of the fit in the experiment, e.g. ``"bearing"``.
     model : (n,) array of str
-        Which of its models: name of the recording, or ``"together"``.
+        Name of the model: that of its recording, or ``"together"``.
     structure : (n,) array of str
-        Name of the structure; empty for a fit that failed.
+        Name of the structure; empty for a failed fit.
     recordings : tuple of tuple of str
-        Recordings that each row was fitted to.
+        Recordings of each row.
     pressure_bar, speed_rpm : (n,) array
-        Operating point; nan when not known, or when the recordings have several.
+        Operating point [bar], [rpm]; nan when it is unknown or the recordings have several.
     parameter_names : tuple of str, k
+        Names of the parameters.
     units : tuple of str, k
         Units of the parameters.
     values : (n, k) array
-        Estimates, and fixed values; delays are among them (``tau_x``, in s).
+        Estimates and fixed values, with the delays (``tau_x`` [s]).
     std : (n, k) array
         Standard deviations as in `gbid.FitResult.std`: 0 fixed, nan none.
     covariance : (n, k, k) array
-        The one to trust (`gbid.FitResult.covariance`); rows and columns of fixed parameters are 0.
+        Covariance to use (`gbid.FitResult.covariance`); rows and columns of fixed parameters are 0.
     mode_frequency_hz, mode_frequency_std_hz : (n, m) array
-        Natural frequencies by rising frequency [Hz].
+        Natural frequencies in rising order, and their standard deviations [Hz].
     mode_damping, mode_damping_std : (n, m) array
-        Damping factors.
+        Damping factors, and their standard deviations.
     gain_names : tuple of str, g
-        ``"u_x to p_x"`` and so on.
+        Names of the static gains: ``"u_x to p_x"`` and so on.
     static_gain, static_gain_std : (n, g) array
+        Static gains, and their standard deviations.
     output_names : tuple of str, q
+        Names of the outputs.
     fit_percent : (n, q) array
-        Fit in percent; the smallest of its recordings for a fit to several.
+        Fit percent; for a fit to several recordings the smallest of them.
     success : (n,) array of bool
-        Whether the fit is there and converged.
+        Whether the fit exists and converged.
     status : (n,) array of str
-        Status of the fit, or why it failed.
+        Status of the fit, or reason of its failure.
     notes : tuple of tuple of str
+        Notes of each fit.
     iterations : (n,) array of int
+        Numbers of iterations.
     wall_time_s : (n,) array
-        Time that the fit took [s].
+        Computing times [s].
     """
 
     fit: Annotated[TextArray, Stored("", "name of the fit", "n")]
@@ -118,33 +123,34 @@ class FitTable:
         return len(self.fit)
 
     def parameter(self, name: str) -> FloatArray:
-        """Estimates of one parameter, (n,).
+        """Return the estimates of one parameter, (n,).
 
         Parameters
         ----------
         name : str
+            Name of the parameter.
 
         Raises
         ------
         UsageError
-            When no fit of the table has it.
+            When no fit of the table has the parameter.
         """
         if name not in self.parameter_names:
             raise UsageError(f"no parameter {name!r} in the table; there are {', '.join(self.parameter_names)}")
         return self.values[:, self.parameter_names.index(name)]
 
     def covariance_of(self, names: Sequence[str]) -> FloatArray:
-        """Covariances of some parameters in the order given, (n, len(names), len(names)).
+        """Return covariances of some parameters in the given order, (n, len(names), len(names)).
 
         Parameters
         ----------
         names : sequence of str
-            Of parameters.
+            Names of the parameters.
 
         Raises
         ------
         UsageError
-            When no fit of the table has one of them.
+            When no fit of the table has one of the parameters.
         """
         for name in names:
             self.parameter(name)
@@ -160,27 +166,28 @@ class FitTable:
         speed_rpm: float | None = None,
         success: bool | None = None,
     ) -> FitTable:
-        """Keep some rows, and of the columns those that these rows have.
+        """Return a table of some rows, with the columns that these rows have.
 
         Parameters
         ----------
         mask : (n,) array of bool, optional
             Rows to keep.
         fit : str, optional
-            Rows of one fit of the experiment.
+            Name of a fit of the experiment.
         pressure_bar, speed_rpm : float, optional
-            Rows of one pressure [bar] or speed [rpm].
+            Pressure [bar] or speed [rpm] of the rows.
         success : bool, optional
             True for fits that converged, False for the others.
 
         Returns
         -------
         FitTable
+            The selected rows.
 
         Raises
         ------
         UsageError
-            For a fit that is not in the table, or a mask of another length.
+            When the fit is not in the table, or the mask has another length.
         """
         keep = np.ones(len(self), dtype=bool) if mask is None else np.asarray(mask)
         if keep.dtype != bool or keep.shape != (len(self),):
@@ -206,7 +213,7 @@ class FitTable:
         return replace(self, **chosen)._without_empty_columns()
 
     def row(self, fit: str, model: str) -> dict[str, Any]:
-        """One row as a dict, with the names of `columns`.
+        """Return one row as a dict, with the names of `columns`.
 
         Parameters
         ----------
@@ -218,7 +225,7 @@ class FitTable:
         Raises
         ------
         UsageError
-            When there is none.
+            When there is no such row.
         """
         found = np.flatnonzero((self.fit == fit) & (self.model == model))
         if not found.size:
@@ -226,7 +233,7 @@ class FitTable:
         return {name: values[found[0]] for name, (values, _) in self.columns().items()}
 
     def columns(self) -> Mapping[str, tuple[npt.NDArray[Any], str]]:
-        """All columns in order, each with its unit; these are the columns of the CSV file.
+        """Return all columns in order, each with its unit; these are the columns of the CSV file.
 
         Returns
         -------

@@ -1,4 +1,4 @@
-"""Tables of fits in HDF5 and CSV. The tree and the columns are documented in docs/file-formats.md."""
+"""Tables of fits in HDF5 and CSV; docs/file-formats.md describes tree and columns."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> No
     Parameters
     ----------
     table : FitTable
+        The table.
     path : path
+        The file.
     overwrite : bool
         Whether an existing file may be replaced.
 
@@ -26,22 +28,23 @@ def save_table(table: FitTable, path: str | Path, overwrite: bool = False) -> No
     UsageError
         When the file exists and `overwrite` is not set.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     hdf5.save(table, path, KIND, overwrite)
 
 
 def load_table(path: str | Path) -> FitTable:
-    """Read the table of a campaign, ``results/<name>/table.h5``.
+    """Return the table of a campaign, ``results/<name>/table.h5``.
 
     Parameters
     ----------
     path : path
-        The HDF5 file, not the CSV one (which leaves the covariances out).
+        The HDF5 file. The CSV file has no covariances and cannot be loaded.
 
     Returns
     -------
     FitTable
+        The table.
 
     Raises
     ------
@@ -52,7 +55,7 @@ def load_table(path: str | Path) -> FitTable:
 
 
 def csv_table(fits: FitTable) -> Table:
-    """Columns of a table of fits for a CSV file, a note tells their units. What a fit does not have is missing."""
+    """Return the columns of a table of fits for a CSV file, with a note on units; nan becomes a missing value."""
     columns = fits.columns()
     units = ", ".join(f"{name} [{unit}]" for name, (_, unit) in columns.items() if unit)
     values = [[None if value != value else value for value in array.tolist()] for array, _ in columns.values()]

@@ -1,4 +1,4 @@
-"""From results of fits to a table of them."""
+"""Table of fits from their results."""
 
 from __future__ import annotations
 
@@ -15,19 +15,20 @@ from gbid.identify.table.fit_table import FitTable
 
 @dataclass(frozen=True, eq=False)
 class TableEntry:
-    """What one row of a table is made from.
+    """Source of one row of a table of fits.
 
     Attributes
     ----------
     fit, model : str
-        Name of the fit and which of its models.
+        Names of the fit and of its model.
     recordings : tuple of str
+        Recordings of the model.
     conditions : dict of str to float
-        Operating point: ``pressure_bar`` and ``speed_rpm``, as far as they are known.
+        Operating point: ``pressure_bar`` [bar] and ``speed_rpm`` [rpm], if they are known.
     result : FitResult or None
-        None for a fit that is not there.
+        The result; None for a fit without one.
     failure : str
-        Why not; becomes the status.
+        Reason of a missing result, which becomes the status.
     """
 
     fit: str
@@ -39,15 +40,17 @@ class TableEntry:
 
 
 def tabulate(entries: Sequence[TableEntry]) -> FitTable:
-    """Make a table of fits; one row for each entry, in their order.
+    """Return a table of fits with one row for each entry, in their order.
 
     Parameters
     ----------
     entries : sequence of TableEntry
+        Sources of the rows.
 
     Returns
     -------
     FitTable
+        The table.
     """
     results = [entry.result for entry in entries]
     there = [result for result in results if result is not None]
@@ -112,7 +115,7 @@ def tabulate(entries: Sequence[TableEntry]) -> FitTable:
 
 
 def _gain_names(result: FitResult) -> tuple[str, ...]:
-    """Names of the static gains, outputs down and inputs across; none for a model that integrates."""
+    """Return the names of the static gains, by outputs, then inputs; empty for a model with a pole at zero."""
     model = result.model
     try:
         model.static_gain()
@@ -122,7 +125,7 @@ def _gain_names(result: FitResult) -> tuple[str, ...]:
 
 
 def _union(names: Iterable[Iterable[str]]) -> tuple[str, ...]:
-    """All names, each once, in the order of their first occurrence."""
+    """Return all names, each once, in the order of their first occurrence."""
     return tuple(dict.fromkeys(name for each in names for name in each))
 
 

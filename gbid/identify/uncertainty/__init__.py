@@ -1,1 +1,1 @@
-"""Covariance of estimates for white and for coloured errors."""
+"""Covariance of the estimates, for white and for coloured errors."""

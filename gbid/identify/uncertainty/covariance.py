@@ -11,30 +11,31 @@ from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.uncertainty.information import information_over_records
 
-_UNDETERMINED = 1e-13  # eigenvalue of the scaled information below which a direction counts as not determined
+_UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 FLATTEST = 1e-4
-"""Curvature, as a part of Gauss-Newton's, below which a point is no minimum."""
-_BLOCKS = 64  # the least number of blocks, within which scores are summed before they are correlated
+"""Smallest curvature of a minimum, as a part of the Gauss-Newton curvature."""
+_BLOCKS = 64  # smallest number of blocks, in which scores are summed before they are correlated
 _SHORTEST, _LONGEST = 8, 64  # samples in such a block
-_MOST_BLOCKS = 200  # in long records the blocks grow instead
+_MOST_BLOCKS = 200  # largest number of blocks; in long records blocks become longer
 
 
 class Covariance(NamedTuple):
-    """Uncertainty of the free parameters, initial states estimated along.
+    """Uncertainty of the free parameters, when initial states are estimated, too.
 
     Attributes
     ----------
     white : (n_p, n_p) array
-        For white residuals.
+        Covariance for white residuals.
     robust : (n_p, n_p) array
-        For residuals of any colour.
+        Covariance for coloured residuals.
     flatness : float
-        Least curvature of the cost over Gauss-Newton's, of all directions: about one with white residuals; NaN where
-        it was not asked for. Below `FLATTEST` the point is no minimum, and the robust covariance Gauss-Newton's.
+        Smallest ratio of the curvature of the cost to the Gauss-Newton curvature, over all directions. It is about one
+        for white residuals, and NaN when it was not computed. Below `FLATTEST` the point is not a minimum, and the
+        robust covariance uses the Gauss-Newton curvature.
     undetermined : (n_directions, n_p) array
-        Unit directions, in parameters scaled by their curvature, that the data say nothing about; mostly empty.
+        Unit directions, in parameters scaled by their curvature, that the data do not determine; usually empty.
     condition : float
-        Condition of the scaled information.
+        Condition number of the scaled information matrix.
     """
 
     white: FloatArray
@@ -56,40 +57,45 @@ def covariance(
     initial_known: bool = False,
     coloured: bool = False,
 ) -> Covariance:
-    """Covariance of the parameters at an estimate.
+    """Return the covariance of the parameters at an estimate.
 
     Parameters
     ----------
     problem : Shooting
+        Shooting problem of the fit.
     theta : (n_p,) array
+        Free parameters.
     starts : (n_windows, n) array
+        Initial states of the windows.
     record_window : (n_records,) integer array
         First window of each record.
     error_products : (n_y, n_y) array
-        ``sum e e'``.
+        Sum of the products of errors, ``sum e e'``.
     memory : int
-        Samples over which residuals are correlated.
+        Number of samples over which residuals are correlated.
     held : (n_p,) boolean array
-        Parameters on a bound: they count as known, and get zero rows.
+        Parameters on a bound; they count as known, and their rows are zero.
     initial_known : bool
         Whether initial states were given instead of estimated.
     coloured : bool
-        Whether the robust covariance is to have the cost's own Hessian; it costs a pass for each parameter.
+        Whether the robust covariance uses the exact Hessian of the cost, which needs a pass for each parameter.
 
     Returns
     -------
     Covariance
+        Both covariances.
 
     Notes
     -----
-    With the Hessian H of ``sum e' W e / 2`` over parameters and initial states, and J the covariance of its gradient
+    With the Hessian H of ``sum e' W e / 2`` by parameters and initial states, and the covariance J of its gradient
     ``sum psi' W e``, the estimates have the covariance ``H^-1 J H^-1`` (Ljung, System Identification,
-    Secs. 9.2 to 9.4). White residuals owe nothing to the past, so that Gauss-Newton's ``H = sum psi' W psi`` will do;
-    and with their covariance Lambda, ``J = sum psi' W Lambda W psi``. With coloured ones H has what Gauss-Newton
-    leaves out, ``-sum psi_i' W d psi_j``, which along the disturbance gain is most of it. The robust J
-    sums the products of the gradients of neighbouring blocks, with weights that fall to zero at a few times
-    the residuals' memory (Newey and West, 1987), and makes up for what the fit takes of it. A prior adds its
-    information to H and, as what a datum of its variance would do, to J.
+    Secs. 9.2 to 9.4). White residuals do not depend on the past. Then the Gauss-Newton approximation
+    ``H = sum psi' W psi`` is sufficient, and with the covariance Lambda of the residuals
+    ``J = sum psi' W Lambda W psi``. For coloured
+    residuals H also contains ``-sum psi_i' W d psi_j``, which is its largest part along the disturbance gain. The
+    robust J sums the products of the gradients of neighbouring blocks, with weights that decrease to zero at a few
+    times the correlation length of the residuals (Newey and West, 1987), and is corrected for the degrees of freedom
+    of the fit. A prior adds its information to H, and to J as a measurement with its variance does.
     """
     n_p = problem.n_theta
     n_all = n_p + len(record_window) * problem.n_states
@@ -102,7 +108,7 @@ def covariance(
         problem, block, theta, starts, record_window, weight, shaped=shaped, observed=coloured
     )
 
-    # The weight is one over the total error, the likelihood's one over its variance: they differ by this factor.
+    # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
     known = np.concatenate([problem.prior.information * unit, np.zeros(n_all - n_p)])
     keep = np.concatenate([~held, np.full(n_all - n_p, not initial_known)])
@@ -137,14 +143,14 @@ def covariance(
 
     directions = np.zeros((int(dark.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, dark].T
-    # A direction among initial states alone is no concern of the parameters.
+    # A direction of initial states alone does not concern the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     return Covariance(white, over_parameters(J_robust, inverse), flatness, directions, condition)
 
 
 def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
-    """Covariance of the sum of scores, neighbours up to `lag` blocks counted with falling weights."""
+    """Return the covariance of the sum of scores; products of blocks up to `lag` apart have decreasing weights."""
     n = scores[0].shape[1]
     total = np.zeros((n, n))
     for s in scores:
@@ -156,9 +162,10 @@ def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
 
 
 def share_left(lengths: list[int], lag: int) -> float:
-    """Share of `long_run` that is left, in the mean, of scores that add up to zero as they do at an estimate.
+    """Return the mean share of `long_run` that remains for scores whose sum is zero, as at an estimate.
 
-    What is lost are the weights' share of all pairs of blocks (Kiefer and Vogelsang, 2005); at least a third is left.
+    The lost share is that of the weights in all pairs of blocks (Kiefer and Vogelsang, 2005). The result is at least
+    1/3.
     """
     counted = float(sum(lengths))
     for length in lengths:

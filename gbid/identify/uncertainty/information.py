@@ -1,4 +1,4 @@
-"""What records say of parameters and initial states: Hessians of the cost and gradients of blocks of samples."""
+"""Information of records on parameters and initial states: Hessians of the cost and gradients of blocks."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
 
-_BLOCKS, _SHORTEST = 64, 8  # blocks of a record, within which scores are summed; samples in the shortest
+_BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
 
 
 class Information(NamedTuple):
-    """Second derivatives of ``sum e' W e / 2`` by the parameters and, after them, the records' initial states.
+    """Second derivatives of ``sum e' W e / 2`` by the parameters and, after them, the initial states of the records.
 
     Attributes
     ----------
     hessian : (n_all, n_all) array
-        Gauss-Newton.
+        Gauss-Newton Hessian.
     shaped : (n_all, n_all) array
-        The same with another weight.
+        Gauss-Newton Hessian with another weight.
     observed : (n_all, n_all) array or None
-        The Hessian itself, with what Gauss-Newton leaves out of the parameters' columns.
+        Exact Hessian in the columns of the parameters.
     scores : list of (n_blocks, n_all) array
-        For each record, gradient of each block of samples.
+        Gradient of each block of samples, for each record.
     """
 
     hessian: FloatArray
@@ -42,14 +42,14 @@ class Information(NamedTuple):
 
 
 class RecordInformation(NamedTuple):
-    """One record's share of the cost ``sum e' W e / 2``, its own parameters first, then its initial state.
+    """Information of one record on its own parameters and then its initial state, for the cost ``sum e' W e / 2``.
 
     Attributes
     ----------
     hessian : (m, m) array
-        Gauss-Newton, by the predictor's own parameters and the record's initial state.
+        Gauss-Newton Hessian.
     scores : (n_blocks, m) array
-        Minus the gradient, of each of the blocks of samples that follow one another.
+        Minus the gradient, for each block of consecutive samples.
     """
 
     hessian: FloatArray
@@ -57,7 +57,7 @@ class RecordInformation(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """A pass over segments, each one window: its sums, and the gradient of each block by parameters and by start."""
+    """Pass over segments, each one window: its sums, and the gradient of each block by parameters and by start."""
 
     sums: Sweep
     by_theta: FloatArray
@@ -75,23 +75,31 @@ def information_over_records(
     shaped: FloatArray | None = None,
     observed: bool = False,
 ) -> Information:
-    """Run a pass over whole segments and refer everything to parameters and the records' initial states.
+    """Return the information of all records, from a pass over whole segments.
 
     Parameters
     ----------
     problem : Shooting
-        Parameters not tied.
+        Problem without ties between parameters.
     block : int
-        Most samples of a block, for which gradients are summed.
+        Largest number of samples of a block, for which gradients are summed.
     theta : (n_p,) array
+        Free parameters.
     starts : (n_windows, n) array
+        Initial states of the windows.
     record_window : (n_records,) integer array
         First window of each record.
     weight : (n_y, n_y) array
+        Weight W of the errors.
     shaped : (n_y, n_y) array, optional
         Another weight, for a second Gauss-Newton Hessian.
     observed : bool
-        Whether the Hessian itself is wanted: a pass for each parameter.
+        Whether the exact Hessian is computed, with a pass for each parameter.
+
+    Returns
+    -------
+    Information
+        Derivatives by parameters and initial states.
     """
     n, n_p = problem.n_states, problem.n_theta
     n_all = n_p + len(record_window) * n
@@ -133,17 +141,20 @@ def information_over_records(
 def record_information(
     problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, weight: FloatArray
 ) -> list[RecordInformation]:
-    """Run one pass over each record by itself: what it says about its own parameters.
+    """Return the information of each record on its own parameters, from one pass.
 
     Parameters
     ----------
     problem : Shooting
-        Each record in one segment.
+        Problem with one segment per record.
     theta : (n_p,) array
+        Free parameters.
     starts : (n_windows, n) array
+        Initial states of the windows.
     record_window : (n_records,) integer array
         First window of each record.
     weight : (n_y, n_y) array
+        Weight W of the errors.
 
     Returns
     -------
@@ -165,7 +176,7 @@ def record_information(
 
 
 def profiled(information: RecordInformation, kept: IntArray) -> RecordInformation:
-    """Eliminate all but the kept parameters: what is left to know of them when the rest is estimated along."""
+    """Return the information on the kept parameters when all others are estimated, too (Schur complement)."""
     H, scores = information
     rest = np.setdiff1d(np.arange(len(H)), kept)
     scale = 1 / np.sqrt(np.maximum(np.diag(H)[rest], 1e-300))
@@ -180,7 +191,7 @@ def profiled(information: RecordInformation, kept: IntArray) -> RecordInformatio
 def _run(
     v: PredictorValues, blocks: Blocks, engine: PassEngine, starts: FloatArray, weights: Sequence[FloatArray]
 ) -> list[_Pass]:
-    """Run a pass for each weight from the starts of the segments, (n_segments, n); blocks start alike in all."""
+    """Run a pass for each weight from the starts of the segments, (n_segments, n); blocks are equal in all passes."""
     powers = powers_of(v.F, blocks.length)
     begin, live = starts_of_blocks(v, blocks, starts, powers[-1], engine), slice(0, blocks.n_blocks)
     found = []
@@ -201,7 +212,7 @@ def _run(
 def _add(
     total: FloatArray, index: IntArray, own: PartHessian, of_starts: FloatArray, along: Sequence[FloatArray]
 ) -> None:
-    """Add a part's Hessian, its windows' starts referred to everything by the sensitivities `along`."""
+    """Add the Hessian of a part; the sensitivities `along` convert its starts of windows to all unknowns."""
     total[np.ix_(index, index)] += own.theta
     for mixed, of_start, T in zip(own.mixed, of_starts, along, strict=True):
         across = mixed @ T
@@ -211,7 +222,7 @@ def _add(
 
 
 def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int, tuple[FloatArray, int]]) -> None:
-    """Carry sensitivities from segment to segment of a record, over the stretches that are left out."""
+    """Propagate sensitivities from segment to segment of a record, over the stretches that are left out."""
     place: dict[int, tuple[int, int, int]] = {}  # last window of a segment: its first one, its part, its place there
     firsts = set()
     for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
@@ -231,11 +242,11 @@ def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int,
 def _exact(
     problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
 ) -> list[PartHessian]:
-    """Exact columns of all parameters, with each segment as one window."""
+    """Return the exact columns of all parameters, with each segment as one window."""
     joined_up, kept = in_one_window(problem)
     _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
     ends, values = np.zeros_like(starts), problem.values(theta)
-    for _ in joined_up.links:  # from the last segments of the records to the first: what the cost makes of their ends
+    for _ in joined_up.links:  # backwards from the last segments: derivative of the cost by the ends of segments
         made = own_gradients(joined_up, values, starts, ends, weight)
         ends[joined_up.links[:, 0]] = np.concatenate([own.starts for own in made])[joined_up.links[:, 1]]
     return exact_columns(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)

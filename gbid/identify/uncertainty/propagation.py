@@ -1,4 +1,4 @@
-"""Uncertainty of what follows from the parameters: modes and static gains."""
+"""Uncertainty of modes and static gains, propagated from that of the parameters."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from gbid.poles import one_of_each_pair, oscillatory_modes
 
 
 def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
-    """Oscillatory modes of a continuous-time matrix and their derivatives.
+    """Return the oscillatory modes of a continuous-time matrix and their derivatives.
 
     Parameters
     ----------
     A : Dual
-        (n, n), with its derivatives by n_p parameters.
+        State matrix (n, n) with its derivatives by n_p parameters.
 
     Returns
     -------
     modes : (n_modes, 2) array
-        Natural frequency [Hz] and damping factor, by rising frequency.
+        Natural frequency [Hz] and damping factor, in the order of rising frequency.
     slopes : (n_modes, 2, n_p) array
+        Derivatives of the modes.
 
     Notes
     -----
     ``d lambda = w' dA v / (w' v)`` with right and left eigenvectors v and w; for
-    ``f = |lambda| / 2 pi`` and ``zeta = -Re(lambda) / |lambda|`` the rest is the chain rule. Where two
-    eigenvalues meet, the derivative does not exist, and comes out huge.
+    ``f = |lambda| / 2 pi`` and ``zeta = -Re(lambda) / |lambda|`` the chain rule applies. For a double eigenvalue the
+    derivative does not exist; near one the result is very large.
     """
     poles, vectors = np.linalg.eig(A.value)
     left = np.linalg.inv(vectors)
@@ -43,17 +44,19 @@ def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
 
 
 def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, FloatArray]:
-    """Gain at rest ``D - C A^-1 B`` and its derivatives.
+    """Return the static gain ``D - C A^-1 B`` and its derivatives.
 
     Parameters
     ----------
     A, B, C, D : Dual
-        Of a model without a pole at zero.
+        Matrices of a model without a pole at zero.
 
     Returns
     -------
     gain : (n_y, n_u) array
+        Static gain.
     slopes : (n_y, n_u, n_p) array
+        Derivatives of the gain.
     """
     inverse = np.asarray(np.linalg.inv(A.value), float)
     A_inverse = Dual(inverse, -inverse @ A.slope @ inverse)
@@ -62,5 +65,5 @@ def static_gain_slopes(A: Dual, B: Dual, C: Dual, D: Dual) -> tuple[FloatArray, 
 
 
 def spread(slopes: FloatArray, covariance: FloatArray) -> FloatArray:
-    """Return standard deviations from derivatives (..., n_p) and the parameters' covariance."""
+    """Return standard deviations from derivatives (..., n_p) and the covariance of the parameters."""
     return np.asarray(np.sqrt(np.maximum(np.einsum("...p,pq,...q->...", slopes, covariance, slopes), 0.0)))

@@ -1,4 +1,4 @@
-"""Whether residuals are white."""
+"""Whiteness test of residuals."""
 
 from __future__ import annotations
 
@@ -10,18 +10,20 @@ from scipy.special import chdtrc
 
 from gbid.arrays import FloatArray
 
-_FEW = 64  # lags up to which plain products are quicker than transforms
+_FEW = 64  # largest number of lags for which products are faster than transforms
 
 
 class Whiteness(NamedTuple):
-    """Portmanteau test of residuals (Ljung and Box, 1978).
+    """Result of the portmanteau test of residuals (Ljung and Box, 1978).
 
     Attributes
     ----------
     statistic : (n_y,) array
+        Test statistic of each output.
     p_value : (n_y,) array
         Probability of a larger statistic for white residuals.
     lags : int
+        Number of lags.
     """
 
     statistic: FloatArray
@@ -30,17 +32,19 @@ class Whiteness(NamedTuple):
 
 
 def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
-    """Correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
+    """Return the correlation of two signals, ``sum_k a[k] b[k+l] / sqrt(sum a^2 sum b^2)``, for lags 0 to `lags`.
 
     Parameters
     ----------
     first, second : (n_samples,) array
-        Means are not removed.
+        Signals; their means are not removed.
     lags : int
+        Largest lag.
 
     Returns
     -------
     (lags + 1,) array
+        Correlation at each lag.
     """
     own = first is second
     first = np.ascontiguousarray(first)
@@ -58,17 +62,19 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
 
 
 def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
-    """Test the residuals of one or several records together.
+    """Return the whiteness test of the residuals of one or several records.
 
     Parameters
     ----------
     errors : list of (n_samples, n_y) array
+        Residuals of each record.
     lags : int
-        Lags that enter.
+        Number of lags.
 
     Returns
     -------
     Whiteness
+        Statistic and p-value of each output.
     """
     n_y = errors[0].shape[1]
     statistic = np.zeros(n_y)
@@ -84,10 +90,10 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
 
 
 def correlation_length(errors: list[FloatArray]) -> int:
-    """Count the samples over which residuals remember: to the lag after which the autocorrelation stays in its band.
+    """Return the correlation length of residuals in samples: the lag beyond which the autocorrelation is insignificant.
 
-    The band is Bartlett's, which widens with the correlation before a lag: estimated autocorrelations of coloured
-    residuals are coloured themselves, and wander far outside of the band of white ones.
+    The confidence band is that of Bartlett, which widens with the correlation at smaller lags. Estimated
+    autocorrelations of coloured residuals are coloured themselves, and leave the band of white residuals.
     """
     longest = 1
     for e in (record - record.mean(0) for record in errors):
@@ -99,11 +105,11 @@ def correlation_length(errors: list[FloatArray]) -> int:
             channel = e[:, j]
             rho = correlation(channel, channel, most)[1:]
             variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
-            # Smoothed over a few lags: one of thousands leaves its band by chance.
+            # Smoothed over a few lags: of thousands of lags one leaves its band by chance.
             outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1
             reach = 0
             for lag in outside:
-                if lag > 2 * reach + 50:  # silent for longer than it spoke: chance
+                if lag > 2 * reach + 50:  # inside the band for longer than before: later excursions are chance
                     break
                 reach = int(lag)
             longest = max(longest, reach)

@@ -1,1 +1,1 @@
-"""Surfaces over pressure and speed fitted to the recordings themselves (direct)."""
+"""Surfaces over pressure and speed, fitted directly to the recordings."""

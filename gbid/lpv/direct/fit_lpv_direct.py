@@ -1,10 +1,10 @@
-r"""All surfaces from the recordings at once, without fits of single recordings between.
+r"""Direct LPV fit: all surfaces from the recordings at once, without a fit of each recording.
 
-The parameters of recording i are :math:`\theta_i = X_i c + L z_i` with the coefficients c of all surfaces shared, and
-:math:`z_i \sim N(0, I)` for what the machine lies off them in that recording, :math:`L L^T = S`. One multiple-shooting
-problem has c, z_i, disturbance gains and initial states as unknowns and the prediction errors of all recordings as its
-cost (Eq. 15). S follows from its solution (see `gbid.lpv.direct.uncertainty`), and the two are found in turn: the
-method of Lindstrom and Bates (Biometrics 46, 1990) for nonlinear mixed effects.
+The parameters of recording i are :math:`\theta_i = X_i c + L z_i`. The coefficients c of all surfaces are shared;
+:math:`z_i \sim N(0, I)` is the deviation of recording i from the surfaces, with :math:`L L^T = S`. One
+multiple-shooting problem has c, z_i, disturbance gains and initial states as unknowns and the prediction errors of all
+recordings as its cost (Eq. 15). S follows from its solution (see `gbid.lpv.direct.uncertainty`). Problem and S are
+solved in turn, which is the method of Lindstrom and Bates (Biometrics 46, 1990) for nonlinear mixed effects.
 """
 
 from __future__ import annotations
@@ -37,9 +37,9 @@ from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure, as_names
 from gbid.threads import one_blas_thread
 
-_SHORTEST = 20  # samples of a recording
+_SHORTEST = 20  # smallest number of samples of a recording
 _ROUNDS = 5
-_SETTLED = 0.2  # of a coefficient's standard deviation
+_SETTLED = 0.2  # largest change of a settled coefficient, in standard deviations
 
 
 def fit_lpv_direct(
@@ -56,47 +56,50 @@ def fit_lpv_direct(
     name: str = "",
     progress: Callable[[Progress], None] | None = None,
 ) -> LPVFit:
-    """Estimate all coefficients of the surfaces directly from the recordings (Eqs. 15 and 16 in one problem).
+    """Return surfaces whose coefficients are estimated directly from the recordings (Eqs. 15 and 16 in one problem).
 
     Parameters
     ----------
     recordings : sequence of Recording
-        Each with its operating point among its conditions and a name of its own.
+        Recordings, each with its own name and with its operating point in its conditions.
     start : LPVFit or LPVModel
-        Where to start, such as the result of `gbid.fit_lpv`; the terms that are not zero in it are estimated, and
-        its actuators are the start of a `Plant`'s.
+        Start values, such as the result of `gbid.fit_lpv`. Terms that are not zero in it are estimated; its actuators
+        are the start values of those of a `Plant`.
     structure : Structure, optional
-        `RotorBearing` of the model's Pade order when not given; or one with exact delays, or a `Plant`, whose
-        actuators are then shared by all recordings. Disturbance gains are each recording's own.
+        By default `RotorBearing` with the Pade order of the model. Other choices are one with exact delays, or a
+        `Plant`, whose actuators are then shared by all recordings. Each recording has its own disturbance gains.
     focus : {"prediction", "simulation"}
+        Focus of the errors.
     intersample : {"zoh", "foh"} or sequence, optional
-        The structure's own when not given.
+        Behaviour of the inputs between samples; by default that of the structure.
     fixed : dict of str to float, optional
-        Actuators or disturbance gains that keep a value.
+        Actuators or disturbance gains with fixed values.
     scatter : bool
-        Whether the machine may lie off the surfaces in each recording, by as much as it is found to. Without, all
-        recordings are taken to lie on them: right for a machine that repeats itself, badly biased for one that does
-        not, as a resonance that moves between recordings then passes for damping.
+        Whether the parameters of a recording may deviate from the surfaces; the size of the deviation is estimated.
+        With false, all recordings lie on the surfaces. That is right for a machine that repeats exactly. For others it
+        is strongly biased, because a resonance that moves between recordings then looks like damping.
     max_iterations : int
+        Largest number of iterations of each solution.
     engine : {"auto", "compiled", "numpy"}
+        Engine of the pass over the samples.
     name : str, optional
-        Of the model; that of the start when not given.
+        Name of the model; by default that of `start`.
     progress : callable, optional
-        Called with a `Progress` at each iteration.
+        Function that is called with a `Progress` at each iteration.
 
     Returns
     -------
     LPVFit
-        Also when the solver did not converge: `status` and `success` tell. Its `estimates` are what each recording
-        alone would have its parameters be, by one Gauss-Newton step from the solution.
+        The surfaces, also when the solver did not converge; see `status` and `success`. Its `estimates` are the
+        parameters that each recording alone would give, by one Gauss-Newton step from the solution.
 
     Raises
     ------
     UsageError
-        For unknown names or options.
+        When a name or option is unknown.
     DataError
-        For recordings that cannot carry the fit: no operating point, two of one name, too few operating points; for a
-        start whose delays are negative at one of these.
+        When the recordings are not sufficient: an operating point is missing, two have the same name, or there are too
+        few operating points; or when a delay of the start is negative at an operating point.
     """
     model = start.model if isinstance(start, LPVFit) else start
     structure = RotorBearing(pade_order=model.pade_order) if structure is None else structure
@@ -107,7 +110,7 @@ def fit_lpv_direct(
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
     if negative := _negative_delay(setting, setting.start):
         raise DataError(
-            f"the surfaces to start from give {negative}, and no delay is negative: single fits are too poor here; "
+            f"the start surfaces give {negative}, and no delay is negative: the single fits are too inaccurate; "
             "start from another model, or use longer recordings"
         )
     with one_blas_thread():
@@ -152,7 +155,7 @@ def fit_lpv_direct(
 
 
 def _negative_delay(setting: Setting, shared: FloatArray) -> str:
-    """Name the delay that surfaces make negative at a recording's point, with the place; empty when none is."""
+    """Return a text with a delay that the surfaces make negative, and its operating point; empty when there is none."""
     values = setting.X @ shared
     for key in ("tau_x", "tau_y"):
         delay = values[:, setting.names.index(key)]
@@ -171,7 +174,7 @@ def _result(
     *,
     scatter: bool,
 ) -> LPVFit:
-    """Refer what was found back to bar and rpm."""
+    """Return the fit with coefficients in terms of bar and rpm."""
     model = start.model if isinstance(start, LPVFit) else start
     k, m = len(KEY_PARAMETERS), len(KEY_PARAMETERS) * len(setting.exponents)
     shared, covariance = (found.refined, found.refined_covariance) if scatter else (solved.shared, found.covariance)
@@ -198,7 +201,7 @@ def _result(
 
 
 def _padded(scatter: FloatArray, n: int) -> FloatArray:
-    """Scatter of the key parameters among all parameters: actuators do not scatter at the start."""
+    """Return the scatter of the key parameters, padded with zeros for the actuators."""
     found = np.zeros((n, n))
     found[: len(scatter), : len(scatter)] = scatter
     return found

@@ -1,4 +1,4 @@
-"""Disturbance gains to start the direct LPV fit from: a small fit for each recording with the surfaces held."""
+"""Start values of disturbance gains for the direct LPV fit: a small fit for each recording with fixed surfaces."""
 
 from __future__ import annotations
 
@@ -21,14 +21,16 @@ _ITERATIONS = 40
 
 @dataclass(frozen=True, eq=False)
 class Gains:
-    """Where disturbance gains start, and which of them stay there.
+    """Start values of disturbance gains, and the recordings in which they are fixed.
 
     Attributes
     ----------
     values : list of dict of str to float
-        For each recording.
+        Values by name, for each recording.
     held : (n,) boolean array
+        Whether the gains of each recording are fixed.
     notes : tuple of str
+        Notes for the result.
     """
 
     values: list[dict[str, float]]
@@ -43,10 +45,10 @@ def own_gains(
     hold: Hold | Sequence[Hold],
     engine: EngineName,
 ) -> Gains:
-    """Fit each recording's disturbance gain with all else held at the start.
+    """Return the disturbance gains of each recording, fitted with all other parameters fixed at the start.
 
-    One that a record cannot tell runs to the edge of an unstable predictor, where it would keep all others from
-    moving: it is held at zero.
+    When a record does not determine a gain, the gain makes the predictor almost unstable and blocks all other
+    parameters. It is then fixed at zero.
     """
     nothing = dict.fromkeys(setting.gains, 0.0)
     if not setting.gains or focus == "simulation":
@@ -70,5 +72,5 @@ def own_gains(
         values.append({name: own.parameters[name] for name in setting.gains} if told else nothing)
         held.append(not told)
     names = [r.name for r, stays in zip(recordings, held, strict=True) if stays]
-    note = f"disturbance gain held at zero in {len(names)} of {len(held)} recordings, which cannot tell it: "
+    note = f"disturbance gain fixed at zero in {len(names)} of {len(held)} recordings, which do not determine it: "
     return Gains(values, np.array(held), (note + ", ".join(names),) if names else ())

@@ -1,4 +1,4 @@
-"""What the direct LPV fit of surfaces shares between recordings, and what each has for itself."""
+"""Setting of a direct LPV fit: parameters shared by the recordings, and those of each recording."""
 
 from __future__ import annotations
 
@@ -21,28 +21,30 @@ from gbid.structure import KEY_PARAMETERS, Parameter, Structure
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A direct LPV fit, set up.
+    """Setting of a direct LPV fit.
 
     Attributes
     ----------
     structure : Structure
+        Structure of all recordings.
     parameters : tuple of Parameter
-        The structure's, with what is held.
+        Parameters of the structure, with the fixed ones marked.
     held : dict of str to float
-        Parameters that keep a value.
+        Parameters with fixed values.
     gains : tuple of str
-        Disturbance gains that are estimated, each recording's own.
+        Disturbance gains to estimate, separately for each recording.
     shared : tuple of Parameter
-        Coefficients of the surfaces in orthogonal terms, then actuators.
+        Shared unknowns: coefficients of the surfaces in orthogonal terms, then actuators.
     names : tuple of str
-        What these make: the key parameters, then actuators.
+        Parameters that follow from the shared unknowns: the key parameters, then actuators.
     X : (n, n_names, n_shared) array
-        How they make it, for each recording.
+        Matrix from shared unknowns to these parameters, for each recording.
     points : (n, 2) array
-        Operating points, bar and rpm.
+        Operating points [bar], [rpm].
     exponents : tuple of (int, int)
-        Terms in use.
+        Exponents of the terms in use.
     design : Orthonormal
+        Orthogonal terms.
     """
 
     structure: Structure
@@ -58,20 +60,20 @@ class Setting:
 
     @property
     def start(self) -> FloatArray:
-        """Where the shared unknowns start, (n_shared,)."""
+        """Return the start values of the shared unknowns, (n_shared,)."""
         return np.array([q.start or 0.0 for q in self.shared])
 
     def ties(self, scatter: FloatArray) -> Ties:
-        """How unknowns make parameters, with a scatter (n_names, n_names) between recordings.
+        """Return the map from unknowns to parameters, with a scatter (n_names, n_names) between recordings.
 
-        What a recording lies off the surfaces is ``lift @ own``, `own` of variance one.
+        The deviation of a recording from the surfaces is ``lift @ own``, with `own` of variance one.
         """
         lift = _factor(scatter)
         own = tuple(Parameter(f"off_{i + 1}", 0.0) for i in range(lift.shape[1]))
         return Ties(self.names, self.shared, self.X, own, lift)
 
     def coefficients(self, shared: FloatArray) -> FloatArray:
-        """Coefficients of the six terms in bar and rpm, (14, 6), from the shared unknowns."""
+        """Return the coefficients of the six terms in bar and rpm, (14, 6), from the shared unknowns."""
         k, m = len(KEY_PARAMETERS), len(self.exponents)
         found = np.zeros((k, len(EXPONENTS)))
         found[:, [EXPONENTS.index(e) for e in self.exponents]] = shared[: k * m].reshape(k, m) @ self.design.back.T
@@ -81,14 +83,14 @@ class Setting:
 def set_up(
     recordings: Sequence[Recording], model: LPVModel, structure: Structure, fixed: Mapping[str, float]
 ) -> Setting:
-    """Set a direct LPV fit up; parameters, errors and what is returned are told at `gbid.fit_lpv_direct`."""
+    """Return the setting of a direct LPV fit; parameters and errors are those of `gbid.fit_lpv_direct`."""
     names = [q.name for q in structure.parameters]
     missing = [key for key in KEY_PARAMETERS if key not in names]
     if missing:
         raise UsageError(f"structure {structure.name!r} has no {', '.join(missing)}; surfaces need all key parameters")
     for key in fixed:
         if key in KEY_PARAMETERS or key not in names:
-            what = "is a surface, which is estimated" if key in KEY_PARAMETERS else "is no parameter"
+            what = "is a surface, which is estimated" if key in KEY_PARAMETERS else "is not a parameter"
             raise UsageError(f"fixed: {key} {what} of structure {structure.name!r}; leave it out")
     points = _points(recordings)
     exponents = _terms_of(model)
@@ -97,7 +99,7 @@ def set_up(
     others = [q for q in structure.parameters if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
     unknown = [q.name for q in others if q.name not in model.actuators and q.start is None]
     if unknown:
-        raise UsageError(f"no start for {', '.join(unknown)}; give the start's model actuators, or hold them (fixed)")
+        raise UsageError(f"no start for {', '.join(unknown)}; give the start model actuators, or fix them (fixed)")
     surfaces = _in_columns(model, design, exponents)
     labels = [f"{key} {i + 1}" for key in KEY_PARAMETERS for i in range(len(exponents))]
     shared = [Parameter("coefficient", v).renamed(label) for label, v in zip(labels, surfaces.tolist(), strict=True)]
@@ -124,14 +126,14 @@ def set_up(
 
 
 def _in_columns(model: LPVModel, design: Orthonormal, exponents: Exponents) -> FloatArray:
-    """Coefficients of a model in orthogonal terms, parameter by parameter."""
+    """Return the coefficients of a model in orthogonal terms, parameter by parameter."""
     places = [EXPONENTS.index(e) for e in exponents]
     coefficients = np.array([model.coefficients[key] for key in KEY_PARAMETERS])[:, places]
     return np.linalg.solve(design.back, coefficients.T).T.ravel()
 
 
 def _factor(scatter: FloatArray) -> FloatArray:
-    """``L`` with ``L L' = scatter``, a column for each direction that scatters at all."""
+    """Return ``L`` with ``L L' = scatter``, one column for each direction with scatter."""
     size = np.sqrt(np.diag(scatter))
     scale = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(scatter / np.outer(scale, scale))
@@ -140,7 +142,7 @@ def _factor(scatter: FloatArray) -> FloatArray:
 
 
 def _points(recordings: Sequence[Recording]) -> FloatArray:
-    """Operating points of recordings, (n, 2)."""
+    """Return the operating points of recordings, (n, 2)."""
     rows = []
     for recording in recordings:
         point = [recording.conditions.get(key) for key in ("pressure_bar", "speed_rpm")]
@@ -157,6 +159,6 @@ def _points(recordings: Sequence[Recording]) -> FloatArray:
 
 
 def _terms_of(model: LPVModel) -> Exponents:
-    """Terms that a model uses."""
+    """Return the exponents of the terms that a model uses."""
     used = np.any([model.coefficients[key] for key in KEY_PARAMETERS], axis=0)
     return tuple(e for e, there in zip(EXPONENTS, used, strict=True) if there)

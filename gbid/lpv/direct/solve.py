@@ -1,4 +1,4 @@
-"""The direct LPV fit's nonlinear programme, for a given scatter between recordings."""
+"""Nonlinear programme of the direct LPV fit, for a given scatter between recordings."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from gbid.lpv.direct.setting import Setting
 
 @dataclass(frozen=True, eq=False)
 class How:
-    """How the programme is made and solved; see `gbid.fit_lpv_direct`."""
+    """Options of the programme and its solver; see `gbid.fit_lpv_direct`."""
 
     focus: Focus
     hold: Hold | Sequence[Hold]
@@ -35,7 +35,7 @@ class How:
 
 @dataclass(frozen=True, eq=False)
 class DirectSolution:
-    """Where the programme ended.
+    """Solution of the programme.
 
     Attributes
     ----------
@@ -44,11 +44,13 @@ class DirectSolution:
     values : (n, n_names) array
         Parameters of each recording.
     information : list of RecordInformation
-        What each recording says of them, its gain and initial state eliminated.
+        Information of each recording on these parameters, with its gain and initial state eliminated.
     gains : Gains
-        Where the gains ended.
+        Disturbance gains of each recording.
     solution : Solution
+        Last iterate of the solver, with its status.
     engine : str
+        Engine of the pass over the samples.
     """
 
     shared: FloatArray
@@ -62,10 +64,10 @@ class DirectSolution:
 def solve_for(
     setting: Setting, data: FitData, shared: FloatArray, scatter: FloatArray, gains: Gains, how: How
 ) -> DirectSolution:
-    """Minimise the prediction errors of all recordings over what they share and what each has for itself.
+    """Return the minimum of the prediction errors of all recordings over shared and own unknowns.
 
-    Where gains that are free lead to the edge of an unstable predictor, it is solved again with all of them held
-    where they started; the status says so.
+    When free gains lead to an almost unstable predictor, the problem is solved again with all gains fixed at their
+    start values. A note reports it.
     """
     ties = setting.ties(scatter)
     at_first = dict(zip(setting.names, (setting.X[0] @ shared).tolist(), strict=True))
@@ -84,7 +86,7 @@ def solve_for(
             offsets=False,
             local=local,
             left_out={},
-            window=None,  # the start is near: no need for windows within a recording
+            window=None,  # the start is near the solution: windows within a recording are not needed
             engine=how.engine,
             ties=ties,
         )
@@ -107,7 +109,7 @@ def solve_for(
         kept = np.array([own.index(name) for name in setting.names])
         whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
     if local and held.all() and not gains.held.all():
-        note = "free disturbance gains did not converge: all were held where they started"
+        note = "free disturbance gains did not converge: all are fixed at their start values"
         gains = replace(gains, notes=(*gains.notes, note))
         if solution.status.success:
             solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)

@@ -1,14 +1,13 @@
-r"""How sure directly estimated surfaces are.
+r"""Uncertainty of directly estimated surfaces.
 
-At the estimate, record i alone would move its parameters by about one Gauss-Newton step,
+At the estimate, record i alone would change its parameters by about one Gauss-Newton step,
 :math:`\delta_i = H_i^{-1} g_i` with its score :math:`g_i` and information :math:`H_i` (its disturbance gain and initial
-state eliminated). So :math:`\theta_i + \delta_i` is its own estimate, of covariance
-:math:`C_i = H_i^{-1} J_i H_i^{-1}`, without a fit of its own; the scatter S between recordings follows from these as it
+state eliminated). So :math:`\theta_i + \delta_i` is its own estimate, with covariance
+:math:`C_i = H_i^{-1} J_i H_i^{-1}`, without a separate fit. The scatter S between recordings follows from these as it
 does from fits of single recordings. The coefficients are the mean of these estimates with the weights :math:`H_i`,
 so that their covariance is
 
 .. math::
-
     A^{-1} \Bigl[\sum_i X_i^T (J_i + H_i S H_i) X_i\Bigr] A^{-1}, \qquad A = \sum_i X_i^T H_i X_i .
 """
 
@@ -23,26 +22,28 @@ from gbid.identify.uncertainty.covariance import long_run
 from gbid.identify.uncertainty.information import RecordInformation
 from gbid.lpv.surface_fit.mixed import with_scatter
 
-_WEAK = 1e-9  # scaled eigenvalue of a record's information below which it says nothing in that direction
+_WEAK = 1e-9  # largest scaled eigenvalue of a record's information in a direction that it does not determine
 
 
 class CoefficientUncertainty(NamedTuple):
-    """Of directly estimated coefficients, in the units of the parameters.
+    """Uncertainty of directly estimated coefficients, in the units of the parameters.
 
     Attributes
     ----------
     covariance : (m, m) array
-        Of the coefficients.
+        Covariance of the coefficients.
     scatter : (k, k) array
-        Between recordings.
+        Covariance of the deviations between recordings.
     own : (n, k) array
-        What each recording alone would have its parameters be.
+        Parameters that each recording alone would give.
     own_covariance : (n, k, k) array
+        Covariance of these parameters.
     refined : (m,) array
-        Coefficients that weigh the recordings by both.
+        Coefficients with weights from scatter and own covariance.
     refined_covariance : (m, m) array
+        Covariance of the refined coefficients.
     settled : bool
-        Whether the scatter had settled.
+        Whether the scatter converged.
     """
 
     covariance: FloatArray
@@ -55,16 +56,21 @@ class CoefficientUncertainty(NamedTuple):
 
 
 def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInformation]) -> CoefficientUncertainty:
-    """Find the scatter and the covariance of the coefficients.
+    """Return the scatter and the covariance of the coefficients.
 
     Parameters
     ----------
     X : (n, k, m) array
-        From coefficients to parameters.
+        Matrix from coefficients to parameters of each record.
     values : (n, k) array
         Parameters of each record at the estimate.
     information : list of RecordInformation, n
-        Of the k parameters, all else eliminated.
+        Information on the k parameters, all other unknowns eliminated.
+
+    Returns
+    -------
+    CoefficientUncertainty
+        Scatter and covariances.
     """
     scale = np.sqrt(np.mean(values**2, axis=0))
     scale = np.where(scale > 0, scale, 1.0)
@@ -93,11 +99,11 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
 
 
 def _smoothed(H: FloatArray, J: FloatArray) -> FloatArray:
-    """Covariances of scores with what differs from record to record by chance taken out.
+    """Return covariances of scores, smoothed over the records.
 
-    One record alone tells the k x k entries of its J poorly, and weights that follow its errors spoil a mean. In
-    coordinates in which its H is one, J is the residuals' power times a shape that their colour makes and all
-    records share.
+    One record alone determines the k x k entries of its J poorly, and weights that depend on its errors bias a mean. In
+    coordinates in which its H is one, J is the power of the residuals times a matrix of their colour, which all records
+    share.
     """
     size = np.sqrt(np.einsum("ikk->ik", H))
     k = size.shape[1]
@@ -113,12 +119,12 @@ def _smoothed(H: FloatArray, J: FloatArray) -> FloatArray:
 
 
 def _lag(n_blocks: int) -> int:
-    """Blocks that residuals remember: a few, as the blocks are long; fewer in short records."""
+    """Return the correlation length of residuals in blocks: a few, because blocks are long; fewer in short records."""
     return min(2, n_blocks - 1)
 
 
 def _inverse(matrix: FloatArray) -> FloatArray:
-    """Inverse of an information; where there is next to none, next to none is taken."""
+    """Return the inverse of an information matrix; directions with almost no information get almost zero."""
     size = 1 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     values, vectors = np.linalg.eigh(matrix * np.outer(size, size))
     values = np.maximum(values, _WEAK * values[-1])

@@ -1,4 +1,4 @@
-"""A fit of surfaces on disk: the model as YAML, its uncertainty as HDF5 beside it."""
+"""Surface fits in files: the model in YAML, its uncertainty in HDF5 beside it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gbid.structure import KEY_PARAMETERS
 
 
 def _from_schema_1(file: h5py.File) -> None:
-    """Estimates, orders and outliers become groups of their own."""
+    """Move estimates, orders and outliers to their own groups."""
     for name in ("points", "values", "values_covariance"):
         file.move(name, f"estimates/{name.removeprefix('values_')}")
     for name in ("recordings", "left_out"):
@@ -39,36 +39,37 @@ KIND = hdf5.FileKind("lpv_fit", "fit anew with `gbid lpv`", (_from_schema_1,))
 
 
 def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: str = "") -> None:
-    """Write a fit of surfaces: the model to ``path``, which `gbid.load_model` reads, the rest to an .h5 beside it.
+    """Write a surface fit: the model to ``path``, which `gbid.load_model` reads, the other fields to an .h5 beside it.
 
     Parameters
     ----------
     fit : LPVFit
+        The fit.
     path : path
-        The model file, ending in .yaml; the other gets the same name ending in .h5.
+        The model file, ending in .yaml; the other file has the same name ending in .h5.
     overwrite : bool
         Whether existing files may be replaced.
     key : str
-        What the fit was made from, as a caller may want to know it again.
+        Text that identifies settings and data of the fit; stored as attribute ``key``.
 
     Raises
     ------
     UsageError
-        When a file exists and `overwrite` is not set, or the ending is another.
+        When a file exists and `overwrite` is not set, or when `path` has another ending.
     DataError
         When a file cannot be written.
     """
     path = Path(path)
     beside = path.with_suffix(".h5")
     if beside.exists() and not overwrite:
-        raise UsageError(f"{beside} exists already; choose another name or ask for overwriting")
+        raise UsageError(f"{beside} exists already; choose another name or set overwrite")
     save_model(fit.model, path, overwrite)
     with hdf5.writing(beside, KIND, overwrite) as file:
         write_uncertainty(fit, file, key)
 
 
 def write_uncertainty(fit: LPVFit, file: h5py.File, key: str) -> None:
-    """Write all of a fit but its model."""
+    """Write all fields of a fit except its model."""
     hdf5.write_fields(file, fit)
     file.attrs.update({"key": key, "model": fit.model.name, "success": fit.success})
     hdf5.add_texts(file, "parameters", KEY_PARAMETERS)
@@ -78,21 +79,22 @@ def write_uncertainty(fit: LPVFit, file: h5py.File, key: str) -> None:
 
 
 def load_lpv_fit(path: str | Path) -> LPVFit:
-    """Read a fit of surfaces back.
+    """Return the surface fit in the files of `save_lpv_fit`.
 
     Parameters
     ----------
     path : path
-        The model file or the .h5; the other must stand beside it.
+        The model file or the .h5; both must be in the same folder.
 
     Returns
     -------
     LPVFit
+        The fit.
 
     Raises
     ------
     UsageError
-        When the model file is missing or broken.
+        When the model file is missing or faulty.
     DataError
         When the .h5 is missing, damaged, or belongs to another model.
     """
@@ -105,5 +107,5 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
         fit = hdf5.read_fields(file, LPVFit, model=model)
         stored = hdf5.read_dataset(file, "coefficients")
     if stored.shape != fit.coefficients.shape or not np.allclose(stored, fit.coefficients, rtol=1e-9, atol=0):
-        raise DataError(f"{beside}: belongs to other coefficients than {path}; fit anew or keep the two together")
+        raise DataError(f"{beside}: belongs to other coefficients than {path}; fit again, or use the files of one fit")
     return fit
