@@ -104,8 +104,8 @@ def test_intervals_keep_their_coverage_with_spikes_replaced_and_lose_it_with_the
             faults = Faults(spikes_per_s=spikes, spike_size=2e-6)
             raw = record(machine, Prbs(5.0), conditions=conditions, seed=seed, name="run", faults=faults)
             found = gbid.fit(structure, prefilter(raw, **ways[way])[0], offsets=True)
-            hit = {name: abs(found.parameters[name] - truth[name]) < 1.96 * found.std[name] for name in found.free}
-            inside[spikes, way].append([hit[name] for name in truth])
+            errors = [(found.parameters[name] - true) / found.std[name] for name, true in truth.items()]
+            inside[spikes, way].append(np.abs(errors) < 1.96)
     coverage = {key: np.mean(hits, axis=0) for key, hits in inside.items()}
     for (spikes, way), values in coverage.items():
         each = ", ".join(f"{name} {100 * value:.0f}" for name, value in zip(truth, values, strict=True))
