@@ -1,6 +1,6 @@
-"""Tables, figures and what they are made from.
+"""Report: tables, figures and the data behind them.
 
-The figures are imported when first used: nothing but they needs matplotlib.
+Figures are imported at their first use, because only they need matplotlib.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _MODULES = (
     "surfaces.over_pressure",
     "surfaces.surface_panels",
 )
-"""Modules of `gbid.report.figures` that the public names are in."""
+"""Modules of `gbid.report.figures` with the public names."""
 
 __all__ = [
     "ActuatorParameters",
@@ -91,7 +91,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the figures when one is first asked for (PEP 562)."""
+    """Import the figures at the first use of one (PEP 562)."""
     if name in __all__:
         for module in _MODULES:
             found = getattr(import_module(f"gbid.report.figures.{module}"), name, None)
@@ -102,5 +102,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List the public names."""
+    """Return the public names."""
     return sorted(__all__)

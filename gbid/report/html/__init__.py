@@ -1,4 +1,4 @@
-"""The report of an experiment: one HTML file with everything in it, read from the results that are there."""
+"""Report of an experiment: one self-contained HTML file, made from the stored results."""
 
 from gbid.report.html.report_file import write_report
 

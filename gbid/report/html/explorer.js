@@ -2,7 +2,7 @@
 "use strict";
 
 const Explorer = (() => {
-  const BLOW = { count: 1001, step: 2e-4 };
+  const IMPACT = { count: 1001, step: 2e-4 };
   const KEYS = { pressure: "P", speed: "n", kappa_x: "kx", kappa_y: "ky", corner: "fc" };
   let model = null;
   let root = null;
@@ -44,7 +44,7 @@ const Explorer = (() => {
     const grid = logSpaced(model.frequency[0], model.frequency[1], 300);
     const modes = ExplorerMath.modes(model, s);
     const curve = ExplorerMath.sensitivity(model, s, grid);
-    const blow = { ...model.impact, axis: s.axis };
+    const impact = { ...model.impact, axis: s.axis };
     const off = { ...s, gains: [0, 0] };
     return {
       grid,
@@ -54,8 +54,8 @@ const Explorer = (() => {
       damping: Math.min(...modes.oscillatory.map((m) => m.damping), modes.real.some((p) => p >= 0) ? -1 : Infinity),
       peak: modes.stable ? peak(s, grid, curve.largest, modes.oscillatory) : { value: Infinity, frequency: NaN },
       rest: modes.stable ? ExplorerMath.largestSingularValue(ExplorerMath.sensitivityAt(model, s, 0)) : Infinity,
-      closedBlow: ExplorerMath.impactResponse(model, s, blow, BLOW.step, BLOW.count),
-      openBlow: ExplorerMath.impactResponse(model, off, blow, BLOW.step, BLOW.count),
+      closedImpact: ExplorerMath.impactResponse(model, s, impact, IMPACT.step, IMPACT.count),
+      openImpact: ExplorerMath.impactResponse(model, off, impact, IMPACT.step, IMPACT.count),
     };
   }
 
@@ -124,14 +124,14 @@ const Explorer = (() => {
         { name: "y from y", style: 2, x: found.grid, y: found.curve.yy },
       ],
     });
-    const time = found.closedBlow.map((_, i) => 1e3 * BLOW.step * i);
+    const time = found.closedImpact.map((_, i) => 1e3 * IMPACT.step * i);
     const part = (positions) => positions.map((p) => 1e6 * p[s.axis]);
-    const openPart = part(found.openBlow);
+    const openPart = part(found.openImpact);
     const reach = Math.max(...openPart.map(Math.abs)) * 3;
-    const closedPart = part(found.closedBlow).map((v) => (Math.abs(v) > reach ? NaN : v));
+    const closedPart = part(found.closedImpact).map((v) => (Math.abs(v) > reach ? NaN : v));
     const name = "xy"[s.axis];
     Charts.draw(control("impact"), {
-      title: `Disc position ${name} after a blow along ${name}, open and closed loop`,
+      title: `Disc position ${name} after an impact along ${name}, open and closed loop`,
       x: { label: "time [ms]", min: 0, max: time[time.length - 1] },
       y: { label: `disc position ${name} [µm]` },
       height: 280,
@@ -156,8 +156,8 @@ const Explorer = (() => {
       largest: found.curve.largest,
       xx: found.curve.xx,
       yy: found.curve.yy,
-      time_s: found.closedBlow.map((_, i) => BLOW.step * i),
-      position_m: found.closedBlow,
+      time_s: found.closedImpact.map((_, i) => IMPACT.step * i),
+      position_m: found.closedImpact,
     });
   }
 

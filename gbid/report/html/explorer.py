@@ -1,4 +1,4 @@
-"""What the gain explorer in the page needs: the model as numbers, ranges, and gains to begin with."""
+"""Data of the gain explorer in the page: numbers of the model, ranges, and gains at the start."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from gbid.lpv import LPVModel
 from gbid.report.html.page import Templated
 
 PEAK_SENSITIVITY = 2.6
-"""Above this peak of S_o a design is warned of: the cap that `gbid.tune` keeps by default."""
+"""Largest peak of S_o without a warning: the default cap of `gbid.tune`."""
 GAIN_RANGE = (-1.0, 3.0)
 CORNER_RANGE = (100.0, 2500.0)
 FREQUENCY_RANGE = (5.0, 1000.0)
 
 
 def explorer_model(model: LPVModel, impact: HalfSine) -> dict[str, Any]:
-    """Give the numbers that the page solves the loop from.
+    """Return the numbers from which the page computes the loop.
 
     Parameters
     ----------
     model : LPVModel
-        With actuators.
+        Model with actuators.
     impact : HalfSine
-        Its direction is chosen in the page.
+        Impact; the page chooses its direction.
 
     Returns
     -------
@@ -50,19 +50,20 @@ def explorer_part(
     designs: Sequence[tuple[str, Any, Mapping[str, float]]],
     impact: HalfSine,
 ) -> Templated:
-    """Build the gain explorer.
+    """Return the gain explorer as a block of the page.
 
     Parameters
     ----------
     model : LPVModel
-        With actuators.
+        Model with actuators.
     words : str
-        What that model is.
+        Description of the model.
     points : sequence of (pressure_bar, speed_rpm)
-        The first one nearest to the middle of the domain is where it begins.
+        Operating points [bar], [rpm]. The explorer starts at the one nearest to the middle of the domain.
     designs : sequence of (name, structure, gains)
-        Those that are P controllers behind a first-order low-pass become buttons; the last is where it begins.
+        Designs. P controllers with a first-order low-pass become buttons; the explorer starts with the last of them.
     impact : HalfSine
+        Impact of the response.
     """
     buttons: list[tuple[str, list[float | None]]] = [("no feedback", [0.0, 0.0, None])]
     for name, structure, gains in designs:

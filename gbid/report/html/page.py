@@ -1,4 +1,4 @@
-"""What a page is made of: sections of words, tables and pictures. Templates turn them into HTML."""
+"""Elements of a page: sections of texts, tables and pictures. Templates turn them into HTML."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from gbid.tables.table import Table
 
 @dataclass(frozen=True)
 class Link:
-    """A cell or an item of a list that leads somewhere in the page."""
+    """Cell or item of a list with a link within the page."""
 
     text: str
     href: str
@@ -23,7 +23,7 @@ class Link:
 
 @dataclass(frozen=True)
 class Words:
-    """A paragraph; the tone is "", "good", "warn" or "bad"."""
+    """Paragraph; the tone is "", "good", "warn" or "bad"."""
 
     text: str
     tone: str = ""
@@ -32,7 +32,7 @@ class Words:
 
 @dataclass(frozen=True)
 class Listed:
-    """A list."""
+    """List of items."""
 
     items: Sequence[str | Link]
     kind: ClassVar[str] = "list"
@@ -40,7 +40,7 @@ class Listed:
 
 @dataclass(frozen=True)
 class Shown:
-    """A picture."""
+    """Picture in the page."""
 
     picture: Picture
     kind: ClassVar[str] = "picture"
@@ -48,7 +48,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Gallery:
-    """Blocks beside each other where there is room."""
+    """Blocks in a row if there is enough width."""
 
     blocks: Sequence[Any]
     kind: ClassVar[str] = "gallery"
@@ -56,7 +56,7 @@ class Gallery:
 
 @dataclass(frozen=True)
 class Fold:
-    """Blocks that are shown when asked for; in print they are open."""
+    """Blocks that open on a click; in print they are open."""
 
     title: str
     blocks: Sequence[Any]
@@ -65,7 +65,7 @@ class Fold:
 
 @dataclass(frozen=True)
 class Templated:
-    """A template of its own, with what it needs."""
+    """Block with its own template and the data for it."""
 
     template: str
     values: dict[str, Any] = field(default_factory=dict)
@@ -77,7 +77,7 @@ Block = Words | Listed | Table | Shown | Gallery | Fold | Templated
 
 @dataclass(frozen=True)
 class PageSection:
-    """A section of the page."""
+    """Section of the page."""
 
     id: str
     title: str
@@ -85,7 +85,7 @@ class PageSection:
 
 
 def point_words(experiment: Experiment, recording: str) -> str:
-    """Operating point of a recording in words."""
+    """Return the operating point of a recording as text."""
     planned = experiment.recordings[recording]
     known = planned.conditions
     if "pressure_bar" in known and "speed_rpm" in known:
@@ -94,11 +94,11 @@ def point_words(experiment: Experiment, recording: str) -> str:
 
 
 def fit_href(name: str, model: str) -> str:
-    """Address of a fit in the page."""
+    """Return the address of a fit in the page."""
     return f"#fit&{name}%2F{model}"
 
 
 def in_units(value: float, unit: str) -> str:
-    """Write a value with three digits in the unit that readers are shown."""
+    """Return a value as text with three digits, in the unit of tables."""
     factor, shown = shown_unit(unit)
     return f"{factor * value:.3g} {shown}".rstrip()

@@ -1,4 +1,4 @@
-"""Figures of matplotlib as SVG inside a page."""
+"""Figures of matplotlib as SVG in a page."""
 
 from __future__ import annotations
 
@@ -24,13 +24,14 @@ _PATH = re.compile(r'\bd="[^"]*"')
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure in a page.
+    """Figure in a page.
 
     Attributes
     ----------
     svg : str
-        The element, with the alternative text in it.
+        The SVG element, with the alternative text in it.
     caption : str
+        Text below the picture.
     """
 
     svg: str
@@ -38,31 +39,32 @@ class Picture:
 
 
 class Pictures:
-    """Makes the pictures of one page; each has ids of its own."""
+    """Maker of the pictures of one page; each picture has its own ids."""
 
     def __init__(self) -> None:
         self._numbers = count(1)
 
     def picture(self, figure: Figure, alt: str, caption: str = "") -> Picture:
-        """Turn a figure into SVG.
+        """Return a figure as SVG.
 
         Parameters
         ----------
         figure : matplotlib Figure
+            The figure; it is closed.
         alt : str
-            What a reader who cannot see it should know.
+            Alternative text for readers who cannot see it.
         caption : str
-            Shown below it; the alternative text when left out.
+            Text below the picture; by default the alternative text.
         """
         buffer = io.StringIO()
-        # Letters as outlines: a phone without these fonts shows them as they are.
+        # Letters as outlines: a device without these fonts shows them correctly.
         with mpl.rc_context(fname=STYLE), mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"}):
             figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
         return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
 
 
 def _embedded(text: str, prefix: str, alt: str) -> str:
-    """Leave the element alone, without what only a file needs; ids get a prefix, paths two decimals."""
+    """Return the SVG element without the parts that only a file needs; ids get a prefix, paths two decimals."""
     body = text[text.index("<svg") :]
     body = re.sub(r"<metadata>.*?</metadata>", "", body, flags=re.DOTALL)
     found = _SIZE.search(body)

@@ -1,4 +1,4 @@
-"""Put sections, styles and scripts into one HTML text that needs nothing else."""
+"""Rendering of a page: sections, styles and scripts in one HTML text without other files."""
 
 from __future__ import annotations
 
@@ -18,21 +18,23 @@ SCRIPTS = ("charts.js", "explorer_math.js", "explorer.js", "fits.js", "page.js")
 
 
 def render(title: str, name: str, sections: Sequence[PageSection], left_out: Sequence[str], key: str) -> str:
-    """Write the page.
+    """Return the HTML of a page.
 
     Parameters
     ----------
     title, name : str
-        Of the experiment.
+        Title and name of the experiment.
     sections : sequence of PageSection
+        Sections of the page.
     left_out : sequence of str
-        What this experiment does not do.
+        Parts of the method that the experiment does not use.
     key : str
-        Content key, kept as a comment.
+        Content key, stored as a comment.
 
     Returns
     -------
     str
+        HTML text.
     """
     loader = FunctionLoader(_read)
     environment = Environment(
@@ -58,12 +60,12 @@ def _read(name: str) -> str:
 
 
 def _script(name: str) -> str:
-    """Read a script, without the lines that are for programs outside of the page."""
+    """Return a script, without the lines for programs outside of the page."""
     lines = _read(name).splitlines()
     return "\n".join(line for line in lines if line != '"use strict";' and not line.startswith("if (typeof module"))
 
 
 def _embedded(value: Any) -> Markup:
-    """Write data into a script element; no text in it can end the element."""
+    """Return data for a script element; no text in it can end the element."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return Markup(text.replace("<", "\\u003c"))

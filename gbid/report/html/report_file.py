@@ -1,4 +1,4 @@
-"""Write the report of an experiment."""
+"""Report of an experiment as a file."""
 
 from __future__ import annotations
 
@@ -29,25 +29,27 @@ _FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller")
 
 
 def write_report(job: Job, path: Path | None = None) -> Outcome:
-    """Write one self-contained HTML file on the results that are there; nothing else is made.
+    """Write one self-contained HTML file with the stored results; nothing else is computed.
 
     Parameters
     ----------
     job : Job
+        The job.
     path : path, optional
-        ``report.html`` in the folder of the results when not given. A report of an earlier state is replaced, any
+        The file; by default ``report.html`` in the folder of the results. A report of an earlier state is replaced, any
         other file only with `Job.overwrite`.
 
     Returns
     -------
     Outcome
+        Outcome of the file.
 
     Raises
     ------
     UsageError
-        When another file stands there.
+        When the file exists and is not a report.
     DataError
-        When it cannot be written.
+        When the file cannot be written.
     """
     path = job.experiment.results / NAME if path is None else path
     results = Results(job)
@@ -82,7 +84,7 @@ def report_text(results: Results, key: str = "") -> str:
 
 
 def _with_named(section: PageSection, results: Results, pictures: Pictures) -> PageSection:
-    """Append the figures that name the section in their own file."""
+    """Return a section with the figures appended that name it."""
     blocks = list(section.blocks)
     for figure in named_figures().values():
         if figure.section == section.id:
@@ -94,7 +96,7 @@ def _with_named(section: PageSection, results: Results, pictures: Pictures) -> P
 
 
 def _key(results: Results) -> str:
-    """Content key: how everything stands, and the keys of the files that are there."""
+    """Return the content key: the states of all results and the keys of their files."""
     experiment = results.experiment
     standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
     made = [stored_key(path) for folder in _FOLDERS for path in sorted((experiment.results / folder).glob("*.*"))]

@@ -1,4 +1,4 @@
-"""Measured and simulated curves of a fit, small enough for a page that holds hundreds of them."""
+"""Measured and simulated curves of a fit, small enough for a page with hundreds of them."""
 
 from __future__ import annotations
 
@@ -11,28 +11,29 @@ from gbid.arrays import FloatArray
 from gbid.validate import Validation
 
 SAMPLES = 1200
-"""Samples of the part that is shown."""
+"""Number of samples in the part shown."""
 POINTS = 600
-"""Points of a curve at most."""
+"""Largest number of points of a curve."""
 BINS = 240
-"""Stretches of the whole recording for which the range of the error is kept."""
+"""Number of intervals of the whole recording for which the range of the error is stored."""
 _LARGEST = 32767
 
 
 def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]:
-    """Cut a part out of a validation, and the range of its error over the whole recording.
+    """Return a part of a validation, and the range of its error over the whole recording.
 
     Parameters
     ----------
     validation : Validation
+        The validation.
     from_s : float, optional
-        Where the part begins [s]; at a third of the recording when not given, or when too little follows.
+        Start of the part [s]; by default a third of the recording, also when too few samples follow.
 
     Returns
     -------
     dict
         recording; start, step, duration [s]; outputs, each with name, unit, n, measured, simulated, and error_n,
-        error_low, error_high. Lengths in micrometres. Curves are those of `packed`.
+        error_low, error_high. Lengths are in micrometres. Curves are in the form of `packed`.
     """
     time, n = validation.time, len(validation.time)
     first = n // 3 if from_s is None else int(np.searchsorted(time, from_s))
@@ -68,7 +69,7 @@ def trace(validation: Validation, from_s: float | None = None) -> dict[str, Any]
 
 
 def packed(values: FloatArray) -> dict[str, Any]:
-    """Pack a curve as base64 of little-endian 16-bit integers, and the factor that they are to be multiplied with."""
+    """Return a curve as base64 of little-endian 16-bit integers, and the factor from these to the values."""
     largest = float(np.abs(values).max(initial=0.0))
     scale = largest / _LARGEST if largest > 0 else 1.0
     whole = np.round(values / scale).astype("<i2")

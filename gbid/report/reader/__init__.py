@@ -1,4 +1,4 @@
-"""The one reader of results: what the stages of an experiment stored, for pages, figures, tables and verbs."""
+"""Reader of results: it loads the stored results of an experiment for pages, figures, tables and verbs."""
 
 from gbid.report.reader.results import Results
 

@@ -1,4 +1,4 @@
-"""Designs with the figures that the tuning stored: which can be compared, and what to warn of."""
+"""Designs with the figures that the tuning stored: comparable designs and warnings."""
 
 from __future__ import annotations
 
@@ -24,33 +24,37 @@ from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 
 KEPT = 0.8
-"""Share of its damping that a design should keep when it is sampled."""
+"""Smallest share of its damping that a design keeps when sampled, without a warning."""
 _HOLDS: dict[Method, str] = {"tustin": "Tustin", "zoh": "zero-order hold"}
 
 
 @dataclass(frozen=True, eq=False)
 class AssessedDesign:
-    """A controller with its stored figures, and the conditions under which they hold.
+    """Controller with its stored figures, and the conditions of their assessment.
 
     Attributes
     ----------
     name : str
-        Of the controller that came with the machine also the first design beside it, where there are several groups.
+        Name of the design. With several groups, the name of the published controller contains that of the first design
+        of its group.
     group : str
-        First design of those that were assessed alike.
+        First design of the group that was assessed under the same conditions.
     figures : DesignFigures
+        Stored figures.
     structure : Structure or Scheduled
-        Of the controller.
+        Structure of the controller.
     plant : LPVModel
-        That the loop was closed on.
+        Plant of the loop.
     impact : HalfSine
+        Impact of the assessment.
     sample_time : float
-        [s]
+        Sample time of the controller [s].
     method : {"tustin", "zoh"}
+        Discretisation of the controller.
     cap : float or None
-        On the peak of S_o.
+        Cap on the peak of S_o.
     came : bool
-        Whether it came with the machine.
+        Whether it is the published controller.
     """
 
     name: str
@@ -69,15 +73,15 @@ class AssessedDesign:
         return controller_at(self.structure, self.figures.gains, *point)
 
     def warnings(self) -> list[str]:
-        """List what a reader should know before trusting the design."""
+        """Return the warnings of the design: stability, sampling, peak of S_o and travel."""
         worst = {name: value for name, (value, _) in self.figures.worst.items()}
         if not self.figures.stable.all():
             return ["not stable at every operating point"]
         found = []
         if not self.figures.sampled_stable.all():
-            found.append(f"not stable everywhere as it runs, {sampling_words(self.sample_time, self.method)}")
+            found.append(f"sampled loop not stable at every point, {sampling_words(self.sample_time, self.method)}")
         if worst["sampled_damping"] < KEPT * worst["damping"]:
-            text = f"as it runs, sampled, its smallest damping factor is {worst['sampled_damping']:.3f}"
+            text = f"sampled, its smallest damping factor is {worst['sampled_damping']:.3f}"
             found.append(f"{text}, not {worst['damping']:.3f}")
         if self.cap is not None and worst["peak_output"] > self.cap * (1 + 1e-4):
             found.append(f"peak of S_o {worst['peak_output']:.3f}, above {self.cap:g}")
@@ -87,7 +91,7 @@ class AssessedDesign:
 
 
 def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[AssessedDesign, ...]:
-    """Put structure and plant to tuned designs; the one that came with the machine follows those assessed alike."""
+    """Return tuned designs with structure and plant, each group followed by its published controller."""
     experiment, groups = job.experiment, assessed_alike(designs)
     found: list[AssessedDesign] = []
     for group in groups:
@@ -105,7 +109,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
 
 
 def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign, ...]:
-    """Assess the controller that came with a model, of an experiment that tunes none; empty when none came."""
+    """Return the published controller of a model, assessed, for an experiment without designs; empty without one."""
     came = None if model is None else published_design(job.experiment, model)
     figures = None if model is None else assess_published(job.experiment, model)
     if model is None or came is None or figures is None:
@@ -117,7 +121,7 @@ def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign
 
 
 def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDesign]]:
-    """Group designs by plant, operating points, impact and sampling."""
+    """Return the designs in groups with equal plant, operating points, impact and sampling."""
     groups: dict[tuple[object, ...], dict[str, TunedDesign]] = {}
     for name, design in designs.items():
         groups.setdefault(_conditions(design), {})[name] = design
@@ -125,15 +129,15 @@ def assessed_alike(designs: Mapping[str, TunedDesign]) -> list[dict[str, TunedDe
 
 
 def comparable_designs(designs: Mapping[str, TunedDesign]) -> dict[str, TunedDesign]:
-    """Choose those designs that were assessed alike and tuned with the same aim as the first one.
+    """Return the designs with the same assessment and objective as the first one.
 
     Raises
     ------
     DataError
-        When there are none.
+        When there are no designs.
     """
     if not designs:
-        raise DataError("no tuned design of the present settings and fits is there; run `gbid tune` or `gbid run`")
+        raise DataError("there is no tuned design of the present settings and fits; run `gbid tune` or `gbid run`")
     group = assessed_alike(designs)[0]
     first = next(iter(group.values()))
     return {name: design for name, design in group.items() if _aim(design) == _aim(first)}
@@ -149,7 +153,7 @@ def _aim(design: TunedDesign) -> tuple[object, ...]:
 
 
 def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigures]:
-    """List the performance of comparable designs, the published one last.
+    """Return the performance of comparable designs, the published controller last.
 
     Raises
     ------
@@ -161,11 +165,11 @@ def design_performances(designs: Mapping[str, TunedDesign]) -> list[DesignFigure
 
 
 def conditions_words(impact: HalfSine, sample_time: float, method: Method) -> str:
-    """Say under which impact and sampling the figures of designs hold."""
+    """Return impact and sampling of the figures of designs as text."""
     hit = f"disc and stack under a half-sine impact of {impact.peak_n:g} N, {1e3 * impact.duration_s:g} ms"
     return f"{hit}; {sampling_words(sample_time, method)} with one sample for computation"
 
 
 def sampling_words(sample_time: float, method: Method) -> str:
-    """Say how a controller is sampled."""
+    """Return the sampling of a controller as text."""
     return f"sampled at {1e3 * sample_time:g} ms ({_HOLDS[method]})"

@@ -1,4 +1,4 @@
-"""Fits that are there, each with what a reader wants to know about it."""
+"""Existing fits with the documents that tables show."""
 
 from __future__ import annotations
 
@@ -14,16 +14,18 @@ from gbid.report.tables.fit_document import Row, fit_document
 
 @dataclass(frozen=True, eq=False)
 class MadeFit:
-    """A fit that is there.
+    """Existing fit.
 
     Attributes
     ----------
     fit, model : str
+        Names of the fit and of its model.
     point : str
-        Operating point of its recordings; empty where they have several.
+        Operating point of its recordings; empty when they have several.
     result : FitResult
+        Result of the fit.
     document : dict
-        From `gbid.report.tables.fit_document.fit_document`, with the rig's truth where there is one.
+        Document of `gbid.report.tables.fit_document.fit_document`, with true values for recordings of the rig.
     """
 
     fit: str
@@ -34,7 +36,7 @@ class MadeFit:
 
 
 def read_fit(job: Job, fit: str, model: str) -> MadeFit:
-    """Read a fit, and put the rig's truth beside it."""
+    """Return a fit, with true values for recordings of the rig."""
     result, structure = load_made_fit(job, fit, model), make_structure(job.experiment, fit)
     truth = true_values(job.experiment, result.recordings, structure)
     document = fit_document(result, truth, true_model(structure, truth, result.model))

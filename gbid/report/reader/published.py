@@ -1,4 +1,4 @@
-"""The paper's controller on its machine, and where the paper shows its loop."""
+"""Controller of the paper on its machine, and the operating point of its figures."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from gbid.lpv.machine_data import ProportionalDesign
 from gbid.structure import LinearModel
 
 POINT = (6.0, 0.0)
-"""Where the paper shows static map, controller and impacts: pressure [bar], speed [rpm]."""
+"""Operating point of static map, controller and impacts in the paper: pressure [bar], speed [rpm]."""
 
 
 def published_gains(machine: LPVModel) -> ProportionalDesign:
-    """Return gains and low-pass that come with a machine.
+    """Return the published gains and low-pass of a machine.
 
     Raises
     ------
     DataError
-        When none do.
+        When the machine has none.
     """
     if machine.controller is None:
         raise DataError(f"machine {machine.name!r} comes with no controller; add one to its model file")
@@ -32,5 +32,5 @@ def published_controller(machine: LPVModel) -> LinearModel:
 
 
 def shown_point(model: LPVModel) -> tuple[float, float]:
-    """Return the point at which the loop is shown: the paper's, or the first where the model does not hold there."""
+    """Return the operating point for pictures of the loop: that of the paper if inside the domain, else the first."""
     return POINT if model.domain.contains(*POINT) else model.operating_points[0]

@@ -1,4 +1,4 @@
-"""What the stages of an experiment stored, each result read when it is first asked for; nothing is made here."""
+"""Results of an experiment: each is loaded at its first use; nothing is computed."""
 
 from __future__ import annotations
 
@@ -43,15 +43,15 @@ Kind = TypeVar("Kind", StaticMap, PiezoCurve)
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """Results of an experiment.
+    """Stored results of an experiment.
 
-    Properties in the plural give what is there, and are empty when nothing is. Those of a single result raise
-    `DataError` when it is not there, or not of the present settings, and say what to do.
+    Properties with a plural name return what exists, and may be empty. Those of a single result raise `DataError` when
+    it is missing or outdated; the text says what to do.
 
     Parameters
     ----------
     job : Job
-        Its engine is not used.
+        The job; its engine is not used.
     """
 
     job: Job
@@ -70,44 +70,44 @@ class Results:
 
     @property
     def machine(self) -> LPVModel:
-        """Model behind the rig, which has to be there."""
+        """Model behind the rig, which must exist."""
         if self.rig is None:
-            raise DataError("no virtual rig in this experiment, so no description of the machine")
+            raise DataError("this experiment has no virtual rig, so there is no description of the machine")
         return self.rig
 
     @property
     def published(self) -> bool:
-        """Whether the machine is the paper's."""
+        """Whether the machine is that of the paper."""
         return self.rig is not None and self.rig.name == PUBLISHED
 
     # ------------------------------------------------------------ recordings and fits
 
     @cached_property
     def standings(self) -> tuple[Standing, ...]:
-        """Recordings, prefiltered recordings and fits, in this order."""
+        """States of recordings, prefiltered recordings and fits, in this order."""
         return read_standings(self.job)
 
     @cached_property
     def recordings(self) -> tuple[RecordingSignals, ...]:
-        """Signals of the excited recordings that are there."""
+        """Signals of the existing excited recordings."""
         there = {f.item for f in self.standings if f.stage in ("rig", "import") and f.state == "there"}
         planned = self.experiment.recordings.items()
         return tuple(read_signals(self.job, name) for name, q in planned if q.excited and name in there)
 
     @cached_property
     def prefiltered(self) -> list[Row]:
-        """What the prefilter took out of each channel."""
+        """Corrections by the prefilter, for each channel."""
         there = [f.item for f in self.standings if f.stage == "prefilter" and f.state == "there"]
         return [row for item in there for row in prefilter_rows([read_report(self.job.path(PREFILTERED, item))])]
 
     @cached_property
     def fits(self) -> tuple[MadeFit, ...]:
-        """Fits that are there."""
+        """Existing fits."""
         there = [f.item.partition("/") for f in self.standings if f.stage == "fit" and f.state == "there"]
         return tuple(read_fit(self.job, fit, model) for fit, _, model in there)
 
     def fit_with(self, structure: str) -> str:
-        """Name of the first fit with a structure."""
+        """Return the name of the first fit with a structure."""
         for name, section in self.experiment.spec.fits.items():
             if section.structure == structure:
                 return name
@@ -117,7 +117,7 @@ class Results:
 
     @cached_property
     def crossval(self) -> dict[str, tuple[list[CrossvalRow], ValidationSummary]]:
-        """Rows and summary of each cross-validation that is there, by fit."""
+        """Rows and summary of each existing cross-validation, by fit."""
         found = {}
         for name in self.experiment.spec.crossval:
             rows = read_crossval(self.job, name)
@@ -127,39 +127,39 @@ class Results:
         return found
 
     def summary(self, structure: str) -> ValidationSummary:
-        """Cross-validation of the first fit with a structure."""
+        """Return the cross-validation of the first fit with a structure."""
         name = self.fit_with(structure)
         if name not in self.experiment.spec.crossval:
             raise DataError(f"no cross-validation of fit {name!r}; add it to section 'crossval'")
         if name not in self.crossval:
-            raise DataError(f"the cross-validation of fit {name!r} is not there; run `gbid crossval` or `gbid run`")
+            raise DataError(f"the cross-validation of fit {name!r} is missing; run `gbid crossval` or `gbid run`")
         return self.crossval[name][1]
 
     @cached_property
     def nominal(self) -> NominalActuator:
-        """The most central actuator."""
+        """The nominal actuator."""
         return nominal_of(self.job)[0]
 
     # ------------------------------------------------------------ surfaces
 
     @cached_property
     def surfaces(self) -> dict[str, LPVFit]:
-        """Surfaces over pressure and speed that are there, by item."""
+        """Existing surfaces over pressure and speed, by item."""
         return read_surfaces(self.job)
 
     @property
     def surface_fit(self) -> LPVFit:
-        """Surfaces through the fits."""
+        """Surfaces fitted to the fits."""
         if self.experiment.spec.lpv is None:
             raise DataError("no section 'lpv'; add one")
-        return _first(self.surfaces.values(), "no surfaces of the present fits are there; run `gbid lpv` or `gbid run`")
+        return _first(self.surfaces.values(), "there are no surfaces of the present fits; run `gbid lpv` or `gbid run`")
 
     @property
     def identified(self) -> LPVModel:
         """Identified model of bearing and actuators."""
         model = self.surface_fit.model
         if not model.actuators:
-            raise DataError("the surfaces come without actuators; write `actuators: nominal` into section 'lpv'")
+            raise DataError("the surfaces have no actuators; write `actuators: nominal` into section 'lpv'")
         return model
 
     # ------------------------------------------------------------ static characterisation
@@ -171,7 +171,7 @@ class Results:
 
     @property
     def static_map(self) -> StaticMap:
-        """Static characterisation of the bearing: the first."""
+        """First static characterisation of the bearing."""
         return next(iter(self._statics("bearing", StaticMap).values()))
 
     @property
@@ -185,7 +185,7 @@ class Results:
         return found
 
     def _statics(self, kind: str, result: type[Kind]) -> dict[str, Kind]:
-        """Characterisations of a kind, at least one and all of them."""
+        """Return all characterisations of a kind; at least one must be planned, and all must exist."""
         asked = [name for name, section in self.experiment.spec.static.items() if section.kind == kind]
         if not asked:
             raise DataError(f"no static characterisation with kind: {kind}; add one to section 'static'")
@@ -213,26 +213,26 @@ class Results:
 
     @cached_property
     def assessed(self) -> tuple[AssessedDesign, ...]:
-        """Tuned designs, then the controller that came with the machine, with their stored figures."""
+        """Tuned designs and published controllers with their stored figures."""
         if self.experiment.spec.controller:
             return assessed_designs(self.job, self.designs.found)
         return assessed_published(self.job, self.loop_model)
 
     @property
     def loop_model(self) -> LPVModel | None:
-        """Model on which a loop can be closed: the surfaces, else the model behind the rig, if they have actuators."""
+        """Model for closed loops: the surfaces, else the model behind the rig, if they have actuators."""
         models = [*(fit.model for fit in self.surfaces.values()), *([self.rig] if self.rig else [])]
         return next((model for model in models if model.actuators), None)
 
     @cached_property
     def studies(self) -> StageResults[ImpactStudy]:
-        """Impact studies; loops whose controller is not there are among the missing."""
+        """Impact studies; loops without controller are among the missing."""
         if self.experiment.spec.impacts is None:
             return StageResults({}, {})
         try:
             idle = loops_without_controller(self.experiment)
             found = read_tasks(self.job, study_tasks(self.job), "gbid impact", lambda task: load_impacts(task.path))
-        except UsageError as error:  # the controller or model that they need is not there
+        except UsageError as error:  # their controller or model is missing
             return StageResults({}, {"impacts": str(error)})
         return StageResults(
             found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
@@ -240,7 +240,7 @@ class Results:
 
     @property
     def loops(self) -> list[dict[str, ImpactStudy]]:
-        """Impact studies by loop, operating point by operating point."""
+        """Impact studies by loop, for each operating point."""
         points: dict[tuple[float, float], dict[str, ImpactStudy]] = {}
         for study in self.studies.found.values():
             point = study.conditions["pressure_bar"], study.conditions["speed_rpm"]
@@ -248,17 +248,17 @@ class Results:
         return list(points.values())
 
     def impacts_at(self, rotating: bool) -> dict[str, ImpactStudy]:
-        """Impact studies of both loops at the first operating point at rest, or with a turning shaft."""
+        """Return the impact studies of both loops at the first operating point at rest, or with a turning shaft."""
         there = [loops for loops in self.loops if {"open", "closed"} <= set(loops)]
         return self._loops_at(there, rotating, "in open and closed loop ")
 
     def beside_at(self, rotating: bool) -> dict[str, ImpactStudy]:
-        """Impact studies with further controllers at such a point, by the label that a figure gives them."""
+        """Return the impact studies with further controllers at such a point, by their labels in figures."""
         return self._loops_at(self.beside, rotating, "")
 
     @property
     def beside(self) -> list[dict[str, ImpactStudy]]:
-        """Impact studies of the points that have further controllers, by the label that a figure gives them."""
+        """Impact studies of the points with further controllers, by their labels in figures."""
         self._need_impacts()
         points = [self.labelled(loops) for loops in self.loops if set(loops) - {"open", "closed"}]
         if not points:
@@ -266,7 +266,7 @@ class Results:
         return points
 
     def labelled(self, loops: Mapping[str, ImpactStudy]) -> dict[str, ImpactStudy]:
-        """Give impact studies of one point the labels of figures."""
+        """Return the impact studies of one point by their labels in figures."""
         section = self.experiment.spec.impacts
         paper = "published gains" if section is not None and section.controller == "paper" else "closed loop"
         names = {"open": "open loop", "closed": paper}

@@ -1,4 +1,4 @@
-"""What the signals of the excited recordings are like: spread, correlation of the excitations, problems."""
+"""Signals of the excited recordings: rms, correlation of the excitations, problems."""
 
 from __future__ import annotations
 
@@ -13,20 +13,24 @@ from gbid.recording import Recording, find_problems, load_recording
 
 @dataclass(frozen=True, eq=False)
 class RecordingSignals:
-    """Signals of a recording.
+    """Properties of the signals of a recording.
 
     Attributes
     ----------
     name, kind, point : str
+        Name, kind and operating point of the recording.
     n_samples : int
+        Number of samples.
     duration : float
-        [s]
+        Duration [s].
     signals : dict of str to tuple of (channel, rms, largest)
-        About the mean, in `units`.
+        Rms and largest absolute value about the mean of each channel, in `units`.
     units : dict of str to str
+        Units by signal.
     alike : float or None
         Correlation of the two channels of the excitation.
     problems : tuple of str
+        Problems of the signals.
     """
 
     name: str
@@ -41,7 +45,7 @@ class RecordingSignals:
 
 
 def read_signals(job: Job, name: str) -> RecordingSignals:
-    """Describe the signals of a recording that is there."""
+    """Return the properties of the signals of an existing recording."""
     planned = job.experiment.recordings[name]
     recording = load_recording(job.path("recordings", name))
     named = [signal for signal in recording.signals if signal != "phi"]
@@ -59,7 +63,7 @@ def read_signals(job: Job, name: str) -> RecordingSignals:
 
 
 def _alike(recording: Recording) -> float | None:
-    """Correlation of the two channels of r, or of u."""
+    """Return the correlation of the two channels of r, or of u."""
     for signal in ("r", "u"):
         values = recording.signals.get(signal)
         if values is not None and values.shape[1] == 2 and values.std(axis=0).min() > 0:

@@ -1,4 +1,4 @@
-"""How each result file of an experiment stands: there, failed, missing or made with other settings."""
+"""States of the result files of an experiment: existing, failed, missing, or made with other settings."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Standing:
-    """One result file that the experiment asks for.
+    """State of one planned result file.
 
     Attributes
     ----------
     stage, item : str
+        Names of the stage and of the item.
     state : {"there", "failed", "missing", "stale"}
-        Stale: made with other settings or data.
+        ``stale``: made with other settings or data.
     text : str
-        Why it is not there; of a fit that is, its status.
+        Reason of a missing result, or status of an existing fit.
     converged : bool
+        False for a fit that did not converge.
     """
 
     stage: str
@@ -41,14 +43,14 @@ class Standing:
 
 @dataclass(frozen=True, eq=False)
 class StageResults(Generic[Value]):
-    """Results of one stage: those that are there, and why others are not.
+    """Results of one stage: existing ones, and reasons for missing ones.
 
     Attributes
     ----------
     found : dict of str to value
-        What is there, by name.
+        Existing results by name.
     missing : dict of str to str
-        What is not there, by name, and why.
+        Reason for each missing result, by name.
     """
 
     found: Mapping[str, Value]
@@ -56,7 +58,7 @@ class StageResults(Generic[Value]):
 
 
 def read_standings(job: Job) -> tuple[Standing, ...]:
-    """Look for recordings, prefiltered recordings and fits, in this order."""
+    """Return the states of recordings, prefiltered recordings and fits, in this order."""
     tasks = [*rig_tasks(job), *import_tasks(job), *prefilter_tasks(job), *fit_tasks(job)]
     return tuple(_standing(job, task) for task in tasks)
 
@@ -73,15 +75,18 @@ def _standing(job: Job, task: Task) -> Standing:
 
 
 def read_tasks(job: Job, tasks: Sequence[Task], verb: str, load: Callable[[Task], Value]) -> StageResults[Value]:
-    """Load the results of tasks that are there, and say of the others why they are not.
+    """Return the existing results of tasks, and the reasons for missing ones.
 
     Parameters
     ----------
     job : Job
+        The job.
     tasks : sequence of Task
+        Tasks of one stage.
     verb : str
-        What makes them, as ``"gbid static"``.
+        Command that makes the results, such as ``"gbid static"``.
     load : callable
+        Function that loads the result of a task.
     """
     found: dict[str, Value] = {}
     missing: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""Tables of a campaign: what became of the items of each stage, and how the fits came out."""
+"""Tables of a campaign: states of the items of each stage, and a summary of the fits."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _COUNTS = ("fits", "converged", "missing")
 
 
 def campaign_tables(document: Row) -> list[Table]:
-    """Tables of the stages and of the fits of a campaign; empty ones are left out."""
+    """Return the tables of the stages and of the fits of a campaign; empty tables are left out."""
     heads = [Column("stage"), *(Column(state.replace("_", " "), format="d") for state in _STATES)]
     stages = [[stage, *(counts[state] for state in _STATES)] for stage, counts in document["stages"].items()]
     columns = [

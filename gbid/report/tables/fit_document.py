@@ -1,4 +1,4 @@
-"""Document of a fit: plain values in SI, the same for tables and for programs that read JSON."""
+"""Document of a fit: plain values in SI units for tables and JSON."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ Row = dict[str, Any]
 
 
 def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
-    """Estimates with their standard deviations and, where known, the truth.
+    """Return estimates with standard deviations and, where known, true values.
 
     Parameters
     ----------
     result : FitResult
+        Result of the fit.
     truth : dict of str to float
         True values of some parameters; may be empty.
 
     Returns
     -------
     list of dict
-        parameter, estimate, std (the one to trust), std_white, std_robust, truth, deviation_std (in standard
-        deviations), deviation_percent, unit, fixed, start, start_origin. What is not known is None; so is the
-        standard deviation of a parameter that has none.
+        parameter, estimate, std (the one to use), std_white, std_robust, truth, deviation_std (in standard
+        deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are None, also the standard
+        deviation of a parameter without one.
     """
     rows = []
     white, robust = result.std_with("white"), result.std_with("robust")
@@ -56,7 +57,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
 
 
 def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """Natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
+    """Return natural frequencies and damping factors with standard deviations and true values, by rising frequency."""
     modes = result.model.modes()
     true = truth.modes() if truth is not None else []
     if len(true) != len(modes):
@@ -76,7 +77,7 @@ def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
 
 
 def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
-    """List static gains with standard deviations and true values; none for a model that integrates."""
+    """Return static gains with standard deviations and true values; empty for a model with a pole at zero."""
     model = result.model
     try:
         gain = model.static_gain()
@@ -97,7 +98,7 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
 
 
 def fit_percent_rows(result: FitResult) -> list[Row]:
-    """Fit of each output of each recording."""
+    """Return the fit percent of each output of each recording."""
     return [
         {"recording": recording, "output": output, "fit_percent": float(result.fit_percent[i, j])}
         for i, recording in enumerate(result.recordings)
@@ -106,7 +107,7 @@ def fit_percent_rows(result: FitResult) -> list[Row]:
 
 
 def whiteness_rows(result: FitResult) -> list[Row]:
-    """How white the residuals of each output are."""
+    """Return the p-value of the whiteness test of each output."""
     return [
         {"output": output, "p_value": _known(p)}
         for output, p in zip(result.model.output_names, result.whiteness, strict=True)
@@ -114,14 +115,14 @@ def whiteness_rows(result: FitResult) -> list[Row]:
 
 
 def multi_start_row(result: FitResult) -> Row | None:
-    """Tell how the fits from other starts ended; None when there was one start."""
+    """Return the counts of the fits from several starts; None for a fit from one start."""
     if result.multi_start is None:
         return None
     return {**asdict(result.multi_start), "spread": _known(result.multi_start.spread)}
 
 
 def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
-    """Everything a reader wants to know about a fit."""
+    """Return the document of a fit."""
     return {
         "structure": result.structure,
         "recordings": list(result.recordings),

@@ -1,4 +1,4 @@
-"""What is to be said of a fit in words."""
+"""Summary of a fit in words."""
 
 from __future__ import annotations
 
@@ -8,22 +8,23 @@ from gbid.report.tables.fit_document import Row
 from gbid.tables.numbers import probability
 
 Line = tuple[str, str]
-"""A word, and what is to be said of it."""
+"""Heading and text of a line."""
 
-_FAR = 5.0  # standard deviations from the truth that noise does not explain
+_FAR = 5.0  # smallest deviation from the truth, in standard deviations, that noise does not explain
 
 
 def summary_lines(document: Row) -> Iterator[Line]:
-    """Fit percent, residuals, start, how the solver ended, and notes.
+    """Yield the lines of the summary: fit percent, residuals, start, status of the solver, and notes.
 
     Parameters
     ----------
     document : dict
-        From `gbid.report.tables.fit_document.fit_document`.
+        Document of `gbid.report.tables.fit_document.fit_document`.
 
     Yields
     ------
     (word, text)
+        Heading and text of each line.
     """
     own = "one step ahead" if document["options"].get("focus") == "prediction" else "simulated"
     horizon = int(document["options"].get("horizon", "1"))
@@ -43,12 +44,12 @@ def summary_lines(document: Row) -> Iterator[Line]:
     far = [row for row in document["parameters"] if abs(row["deviation_std"] or 0.0) > _FAR]
     if far:
         names = ", ".join(f"{row['parameter']} ({row['deviation_std']:+.0f})" for row in far)
-        text = f"off the truth by many standard deviations: {names}; a bias of structure, hold or prefilter, not noise"
+        text = f"many standard deviations from the truth: {names}; a bias of structure, hold or prefilter, not noise"
         yield "note", text
 
 
 def residuals_line(document: Row) -> str:
-    """Whiteness of each output, with the probability."""
+    """Return the whiteness of each output with its p-value, as text."""
     words = []
     level = 0.01 / max(1, len(document["whiteness"]))  # shared by the outputs, as the fit shares it
     for row in document["whiteness"]:
@@ -61,7 +62,7 @@ def residuals_line(document: Row) -> str:
 
 
 def start_line(document: Row) -> str:
-    """How many parameters started from where; those that a user stated by name."""
+    """Return the numbers of start values by origin; those of the user are listed by name."""
     rows = [row for row in document["parameters"] if not row["fixed"]]
     words = {"data": "from the data", "structure": "from the structure", "user": "given"}
     told = []
@@ -74,7 +75,7 @@ def start_line(document: Row) -> str:
 
 
 def starts_line(row: Row) -> str:
-    """How many of several starts led to the same optimum."""
+    """Return the number of starts that led to the same optimum, as text."""
     spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
     return (
         f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} of them to the best; "

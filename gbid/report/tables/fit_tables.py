@@ -10,7 +10,7 @@ from gbid.report.tables.fit_summary import summary_lines
 from gbid.tables.numbers import engineering, exponent_of, shown_unit
 from gbid.tables.table import Cell, Column, Entry, Table, formatted
 
-# Heading, unit, entries of the row and the fewest decimals of what is shown of a mode.
+# Heading, unit, entries of the row, and smallest number of decimals of a mode.
 _MODE = (
     ("frequency\n", "Hz", "frequency_hz", "frequency_std_hz", "true_frequency_hz", 2),
     ("damping\nfactor", "", "damping", "damping_std", "true_damping", 4),
@@ -18,13 +18,14 @@ _MODE = (
 
 
 def fit_tables(title: str, document: Row) -> list[Table]:
-    """Tables of a fit: parameters, modes, static gain and summary.
+    """Return the tables of a fit: parameters, modes, static gain and summary.
 
     Parameters
     ----------
     title : str
+        Title of the first table.
     document : dict
-        From `gbid.report.tables.fit_document.fit_document`.
+        Document of `gbid.report.tables.fit_document.fit_document`.
     """
     tables = [parameter_table(title, document["parameters"], document["trusted"])]
     if document["modes"]:
@@ -35,7 +36,7 @@ def fit_tables(title: str, document: Row) -> list[Table]:
 
 
 def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
-    """Table of estimates, standard deviations and truth; each row in one power of ten."""
+    """Return the table of estimates, standard deviations and truth; the numbers of a row have one power of ten."""
     with_truth = any(row["truth"] is not None for row in rows)
     columns = [Column("parameter"), Column("estimate", format=5), Column(f"std\n({trusted})", format=2)]
     if with_truth:
@@ -55,7 +56,7 @@ def parameter_table(title: str, rows: Sequence[Row], trusted: str) -> Table:
 
 
 def mode_table(rows: Sequence[Row]) -> Table:
-    """Table of natural frequencies and damping factors."""
+    """Return the table of natural frequencies and damping factors."""
     with_truth = any(row["true_frequency_hz"] is not None for row in rows)
     columns = [Column("mode")]
     for heading, unit, *_, least in _MODE:
@@ -72,7 +73,7 @@ def mode_table(rows: Sequence[Row]) -> Table:
 
 
 def gain_table(rows: Sequence[Row]) -> Table:
-    """Table of static gains; those that the structure holds at zero are left out."""
+    """Return the table of static gains; those that are zero by structure are left out."""
     with_truth = any(row["truth"] is not None for row in rows)
     columns = [Column("static gain"), Column("value", format=5), Column("std", format=2)]
     laid: list[list[Entry]] = []
@@ -86,17 +87,17 @@ def gain_table(rows: Sequence[Row]) -> Table:
 
 
 def _in_power(value: float | None, digits: int, exponent: int, factor: float = 1.0) -> Entry:
-    """Cell in a given power of ten, so that the numbers of a row can be compared."""
+    """Return a cell in a given power of ten, so that the numbers of a row can be compared."""
     return None if value is None else Cell(factor * value, engineering(factor * value, digits, exponent))
 
 
 def _digits(estimate: float, std: float) -> int:
-    """Significant digits of an estimate: five, or as many as its standard deviation has when that is larger."""
+    """Return the number of significant digits of an estimate: five, or enough to show its standard deviation."""
     if estimate == 0 or abs(estimate) >= std:
         return 5
     return max(1, 2 + floor(log10(abs(estimate))) - floor(log10(std)))
 
 
 def _decimals(std: float | None, least: int) -> int:
-    """Decimals that show two digits of a standard deviation."""
+    """Return the number of decimals that show two digits of a standard deviation."""
     return least if not std else min(max(least, 1 - floor(log10(std))), 7)

@@ -1,4 +1,4 @@
-"""Impacts as documents and as tables like Tables 3 and 4 of the paper: expected from the model, obtained."""
+"""Documents and tables of impacts, like Tables 3 and 4 of the paper: expected from the model, and identified."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from gbid.report.tables.fit_document import Row
 from gbid.tables.table import Column, Entry, Table, formatted
 
 IMPACT_FIGURES = (("peak", "m", 1e6), ("decay", "s", 1e3), ("piezo", "m", 1e6))
-"""Figures of impacts in the rows of responses: name, unit, factor to what tables show."""
+"""Figures of impacts in the rows of responses: name, unit, factor to the unit of tables."""
 _PAPER = ("open", "closed")
-"""Loops that Tables 3 and 4 have."""
+"""Loops in Tables 3 and 4."""
 
 
 class _ModeQuantity(NamedTuple):
-    """A quantity of a mode: its sign and unit, its key in the documents and column of what is published, its digits."""
+    """Quantity of a mode: symbol and unit, key in documents, column of published values, decimals."""
 
     words: str
     sign: str
@@ -30,7 +30,7 @@ class _ModeQuantity(NamedTuple):
     digits: int
 
     def of(self, document: Row, mode: int, entry: str) -> Any:
-        """Value of a mode of a study; None where there is no such mode."""
+        """Return the value of a mode of a study; None without such a mode."""
         name = entry.format(self.key) + (f" [{self.unit}]" if self.unit else "")
         return next((row[name] for row in document["modes"] if row["mode"] == mode), None)
 
@@ -39,7 +39,7 @@ _QUANTITIES = (
     _ModeQuantity("natural frequencies", "ω", "Hz", "frequency", 0, 1),
     _ModeQuantity("damping factors", "ζ", "", "damping", 1, 3),
 )
-# Words, the entry of a mode with the key of the quantity, and so many decimals more.
+# Heading, entry of a mode with the key of the quantity, and number of further decimals.
 _LINES = (
     ("expected from model", "expected_{}", 0),
     ("expected as it runs, sampled", "running_{}", 0),
@@ -49,15 +49,18 @@ _LINES = (
 
 
 def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequence[ReferenceModes] = ()) -> Row:
-    """Everything that an impact study says, as plain values.
+    """Return the document of an impact study as plain values.
 
     Parameters
     ----------
     name : str
+        Name of the study.
     study : ImpactStudy
+        The study.
     path : path
+        File of the study.
     published : sequence of ReferenceModes
-        Of the machine; those of this operating point and loop stand beside.
+        Published modes of the machine; those of this operating point and loop are added.
     """
     ring = study.ringdown
     here = [
@@ -86,12 +89,12 @@ def impact_document(name: str, study: ImpactStudy, path: Path, published: Sequen
 
 
 def impact_tables(documents: Sequence[Row]) -> list[Table]:
-    """Tables of frequencies, damping factors, force scaling and figures, operating point by operating point.
+    """Return tables of frequencies, damping factors, force scaling and figures, for each operating point.
 
     Parameters
     ----------
     documents : sequence of dict
-        From `impact_document`.
+        Documents of `impact_document`.
     """
     tables = []
     for pressure, speed in dict.fromkeys((d["pressure_bar"], d["speed_rpm"]) for d in documents):
@@ -109,7 +112,7 @@ def impact_tables(documents: Sequence[Row]) -> list[Table]:
 
 
 def _quantity_table(where: str, here: Mapping[str, Row], quantity: _ModeQuantity) -> Table:
-    """Table of natural frequencies or damping factors, open and closed loop, with those of the paper."""
+    """Return the table of natural frequencies or damping factors in open and closed loop, with those of the paper."""
     shown = [
         (f"{quantity.sign}{mode},{'ol' if loop == 'open' else 'cl'}", here[loop], mode, quantity)
         for mode in (1, 2)
@@ -130,7 +133,7 @@ def _quantity_table(where: str, here: Mapping[str, Row], quantity: _ModeQuantity
 def _mode_table(
     title: str, shown: Sequence[tuple[str, Row, int, _ModeQuantity]], more: Sequence[list[Entry]] = ()
 ) -> Table:
-    """Table of expected and obtained modes: in each column, a quantity of one mode of one study."""
+    """Return the table of expected and identified modes; a column is a quantity of one mode of one study."""
     rows: list[list[Entry]] = []
     closed = any(document["controller"] for _, document, *_ in shown)
     for words, entry, decimals in _LINES:
@@ -144,7 +147,7 @@ def _mode_table(
 
 
 def _response_table(where: str, documents: Sequence[Row]) -> Table:
-    """Table of measured against simulated responses."""
+    """Return the table of measured and simulated responses."""
     columns = {
         "recording": Column("recording"),
         "impacts": Column("impacts", format="d"),
@@ -159,7 +162,7 @@ def _response_table(where: str, documents: Sequence[Row]) -> Table:
 
 
 def _impact_figures_table(where: str, documents: Sequence[Row]) -> Table:
-    """Table of what an impact does to disc and piezos, measured and simulated; notes of all tables below."""
+    """Return the table of measured and simulated motion of disc and piezos, with the notes of all tables."""
     columns = [Column("recording")]
     for name, unit in (("disc up to\n", "um"), ("over after\n", "ms"), ("piezo up to\n", "um")):
         columns += [Column(name, unit, ".2f"), Column("std", format=".2f"), Column("simulated", format=".2f")]

@@ -1,4 +1,4 @@
-"""Tables of what surfaces over pressure and speed leave of the fits that they were drawn through."""
+"""Tables of the deviations of fits from the surfaces over pressure and speed."""
 
 from __future__ import annotations
 
@@ -18,27 +18,29 @@ from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Column, Entry, Table
 
 _PUBLISHED = "theisen2016"
-_OUTLIERS = 10  # that are printed; all are in the document
+_OUTLIERS = 10  # largest number that is printed; the document contains all
 
 
 def lpv_documents(experiment: Experiment, outcomes: Sequence[Outcome], fits: Mapping[str, LPVFit]) -> list[Row]:
-    """Documents of the surfaces of an experiment; the paper's figures stand beside when the machine is its own."""
+    """Return documents of the surfaces of an experiment, with the paper's figures for the paper's machine."""
     published = experiment.spec.rig is not None and experiment.spec.rig.model == _PUBLISHED
     paths = {outcome.item: outcome.path for outcome in outcomes}
     return [lpv_document(item, fit, paths[item], published=published) for item, fit in fits.items()]
 
 
 def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
-    """Everything that a fit of surfaces says, as plain values.
+    """Return the document of a surface fit as plain values.
 
     Parameters
     ----------
     item : str
+        Name of the surfaces.
     fit : LPVFit
+        The fit.
     path : path
         The model file.
     published : bool
-        Whether the machine is the paper's, whose figures then stand beside.
+        Whether the machine is that of the paper; figures of the paper are then added.
     """
     rows = [asdict(d) for d in fit.deviations]
     for row in rows:
@@ -69,12 +71,12 @@ def lpv_document(item: str, fit: LPVFit, path: Path, *, published: bool) -> Row:
 
 
 def lpv_table(document: Row) -> Table:
-    """Table of the deviations of one fit of surfaces, its orders and outliers below.
+    """Return the table of deviations of one surface fit, with notes on orders and outliers.
 
     Parameters
     ----------
     document : dict
-        From `lpv_document`.
+        Document of `lpv_document`.
     """
     with_paper = any(row["published_rms"] is not None for row in document["deviations"])
     paper = [Column("rms,\npaper", format=".4g")] if with_paper else []

@@ -1,4 +1,4 @@
-"""Tables of recordings, and of what the prefilter took out of them."""
+"""Tables of recordings, and of the corrections by the prefilter."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Column, Table
 
 SHOWN_SPIKES = 10
-"""Sample numbers of spikes that a row of the prefilter names."""
+"""Largest number of spikes whose sample numbers a row lists."""
 
 
 def recording_table(rows: Sequence[Row]) -> Table:
-    """Table of recordings with their length and operating point."""
+    """Return the table of recordings with their length and operating point."""
     columns = [
         Column("recording"),
         Column("samples", format="d"),
@@ -30,7 +30,7 @@ def recording_table(rows: Sequence[Row]) -> Table:
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:
-    """Plain values of what the prefilter took out of each channel of p, in the unit of p."""
+    """Return the corrections of each channel of p by the prefilter as plain values, in the unit of p."""
     return [
         {
             "recording": report.name,
@@ -57,7 +57,7 @@ def position_unit(rows: Sequence[Row]) -> tuple[float, str]:
 
 
 def prefilter_table(rows: Sequence[Row]) -> Table:
-    """Table of what the prefilter took out, from `prefilter_rows`."""
+    """Return the table of the corrections by the prefilter, from `prefilter_rows`."""
     factor, unit = position_unit(rows)
     columns = [
         Column("recording"),

@@ -1,4 +1,4 @@
-"""Static maps and piezo curves as documents (SI) and as tables (micrometres where they are metres)."""
+"""Documents (SI units) and tables (micrometres instead of metres) of static maps and piezo curves."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from gbid.tables.table import Column, Table, formatted
 
 
 def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
-    """Everything a reader wants to know about a static characterisation; what is not known is None.
+    """Return the document of a static characterisation; unknown values are None.
 
     Parameters
     ----------
     name : str
-        Of the characterisation.
+        Name of the characterisation.
     result : StaticMap or PiezoCurve
+        The result.
 
     Returns
     -------
     dict
-        name, kind, recordings, notes, and for a map a row for each gain, for a curve its figures.
+        name, kind, recordings, notes, and a row for each gain of a map, or the figures of a curve.
     """
     if isinstance(result, PiezoCurve):
         steps = ~result.saturated
@@ -75,7 +76,7 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
 
 
 def static_table(document: Row) -> Table:
-    """Table of a static characterisation, from its document."""
+    """Return the table of a static characterisation from its document."""
     title = f"{document['name']}: {', '.join(document['recordings'])}"
     source, output = document["units"]
     if document["kind"] == "piezo":

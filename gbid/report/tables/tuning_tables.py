@@ -1,4 +1,4 @@
-"""Tuned designs as documents and as tables, beside the controller that came with the machine."""
+"""Documents and tables of tuned designs and of the published controller."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from gbid.tables.table import Column, Table, formatted
 
 
 def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDesign]) -> list[Row]:
-    """Everything that tuned designs say, as plain values; those that failed are left out."""
+    """Return the documents of tuned designs as plain values; failed ones are left out."""
     paths = {(o.stage, o.item): str(o.path) for o in outcomes if o.state != "failed"}
     return [
         {
@@ -40,12 +40,12 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
 
 
 def tuning_tables(documents: Sequence[Row]) -> list[Table]:
-    """Tables of designs side by side, those at the same points of the same plant in one, the gains of each below.
+    """Return tables that compare designs at the same points of the same plant, with their gains below.
 
     Parameters
     ----------
     documents : sequence of dict
-        From `tuning_documents`.
+        Documents of `tuning_documents`.
     """
     groups: dict[tuple[Any, ...], list[Row]] = {}
     for document in documents:
@@ -65,14 +65,16 @@ def tuning_tables(documents: Sequence[Row]) -> list[Table]:
 
 
 def comparison_table(title: str, performances: Sequence[DesignFigures], note: str) -> Table:
-    """Table of the worst figures of designs that were assessed alike, a row for each figure.
+    """Return the table of the worst figures of designs with equal assessment, a row for each figure.
 
     Parameters
     ----------
     title : str
+        Title of the table.
     performances : sequence of DesignFigures
+        Performance of the designs.
     note : str
-        The conditions, from `gbid.report.reader.designs.conditions_words`.
+        Conditions, from `gbid.report.reader.designs.conditions_words`.
     """
     worst = {p.name: {name: value for name, (value, _) in p.worst.items()} for p in performances}
     return _compared(title, worst, [note])

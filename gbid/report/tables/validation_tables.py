@@ -1,4 +1,4 @@
-"""Documents and tables of a cross-validation, pair by pair and as a whole, and of the nominal actuator."""
+"""Documents and tables of a cross-validation, for each pair and in summary, and of the nominal actuator."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from gbid.report.tables.fit_document import Row
 from gbid.tables.table import Column, Entry, Table, formatted
 from gbid.validate import NominalActuator, ValidationSummary
 
-_POINTS = 30  # operating points up to which each has its lines
+_POINTS = 30  # largest number of operating points that have their own rows
 _PERCENT = (Column("fit\n", "%", ".2f"), Column("+-\n", "%", ".2g"), Column("least\n", "%", ".2f"))
 
 
 def crossval_table(title: str, rows: Sequence[Row]) -> Table:
-    """Table of the fit percent of each model on each recording, simulated, and what the residuals say."""
+    """Return the table of the fit percent of each model on each recording, and of the residual tests."""
     columns = [
         *map(Column, ("model of", "on", "output")),
         Column("fit\n", "%", ".2f"),
@@ -36,17 +36,17 @@ def crossval_table(title: str, rows: Sequence[Row]) -> Table:
 
 
 def summary_document(fit: str, summary: ValidationSummary, path: Path) -> Row:
-    """Plain values of a summary of a cross-validation, histograms included."""
+    """Return the summary of a cross-validation as plain values, with histograms."""
     return {"fit": fit, **asdict(summary), "path": str(path)}
 
 
 def validation_table(document: Row) -> Table:
-    """Table of mean and standard deviation of the fit percent of each output, over all pairs and by operating point.
+    """Return the table of mean and std of the fit percent of each output, over all pairs and by operating point.
 
     Parameters
     ----------
     document : dict
-        From `summary_document`.
+        Document of `summary_document`.
     """
     title = (
         f"{document['fit']}, cross-validation: {document['n_models']} models, "
@@ -76,7 +76,7 @@ def validation_table(document: Row) -> Table:
 
 
 def nominal_document(fit: str, nominal: NominalActuator, path: Path) -> Row:
-    """Plain values of the nominal actuator, with the outliers and why they are."""
+    """Return the nominal actuator as plain values, with the outliers and their reasons."""
     return {
         "fit": fit,
         "model": nominal.name,
@@ -91,12 +91,12 @@ def nominal_document(fit: str, nominal: NominalActuator, path: Path) -> Row:
 
 
 def nominal_table(document: Row) -> Table:
-    """Table of poles and gains of the nominal actuator, then the outliers.
+    """Return the table of poles and gains of the nominal actuator, then of the outliers.
 
     Parameters
     ----------
     document : dict
-        From `nominal_document`.
+        Document of `nominal_document`.
     """
     off = bool(document["outliers"] or document["left_out"])
     columns = [Column("most central model"), Column("parameter"), Column("value", format=".5g")]

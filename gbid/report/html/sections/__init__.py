@@ -1,1 +1,1 @@
-"""Sections of the page, a file each: results in, blocks out."""
+"""Sections of the page, one file each: functions from results to blocks."""

@@ -1,4 +1,4 @@
-"""Section on the controller: designs side by side, the Pareto front, pictures of each, and the gain explorer."""
+"""Section on the controller: comparison of designs, Pareto front, pictures of each, and the gain explorer."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _BY_POINT = (
 
 
 def controller_section(results: Results, pictures: Pictures) -> PageSection:
-    """Show the designs that are there and the published one, with the figures that the tuning stored."""
+    """Return the section with the tuned and published designs, and the figures that the tuning stored."""
     designs, model, words = results.assessed, results.loop_model, loop_words(results)
     blocks: list[Block] = []
     if model is None and not designs:
@@ -46,7 +46,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
     blocks += tuned_blocks(results, pictures)
     try:
         blocks += [block for design in designs if design.came for block in _modes(results, design)][:1]
-    except GbidError as error:  # surfaces that make no sense somewhere
+    except GbidError as error:  # surfaces without physical meaning at some point
         blocks.append(Words(f"modes cannot be compared: {error}", "warn"))
     for i, design in enumerate(designs):
         try:
@@ -62,7 +62,7 @@ def controller_section(results: Results, pictures: Pictures) -> PageSection:
 
 
 def loop_words(results: Results) -> str:
-    """Say which model the explorer closes loops on, or why there is none."""
+    """Return a description of the model on which the explorer closes loops, or the reason why there is none."""
     model, surfaces = results.loop_model, results.surfaces
     for item, fit in surfaces.items():
         if fit.model is model:
@@ -88,7 +88,7 @@ def _compared(designs: Sequence[AssessedDesign]) -> list[Block]:
 
 
 def _modes(results: Results, design: AssessedDesign) -> list[Block]:
-    """Modes that the paper gives, beside those of this model with the published gains."""
+    """Return a table of the modes in the paper, and those of this model with the published gains."""
     source = design.plant if design.plant.reference_modes else results.rig
     rows = []
     for known in source.reference_modes if source is not None else ():

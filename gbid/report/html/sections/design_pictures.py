@@ -24,7 +24,7 @@ _SHOWN_S = 0.1
 
 
 def design_pictures(pictures: Pictures, design: AssessedDesign) -> list[Block]:
-    """Draw a design at its worst operating point, and its damping over the operating range."""
+    """Return pictures of a design at its worst operating point, and of its damping over the operating range."""
     worst, point = design.figures.worst["damping"]
     row = int(np.flatnonzero((design.figures.points == point).all(axis=1))[0])
     place, plant, controller = point_label(*point), design.plant.plant_at(*point), design.at(point)

@@ -1,4 +1,4 @@
-"""PageSection on the fits: overview, worst and best, failures, and each one of them."""
+"""Section on the fits: overview, worst and best fits, failures, and each fit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NAMED = 5
 
 
 def fits_section(results: Results) -> PageSection:
-    """Sum up the fits and give each of them."""
+    """Return the section with a summary of the fits and each of them."""
     title = "Fits"
     if not results.experiment.spec.fits:
         return PageSection("fits", title, [Words("This experiment asks for no fits.")])
@@ -46,12 +46,12 @@ def fits_section(results: Results) -> PageSection:
 
 
 def lost_fits(results: Results) -> list[Standing]:
-    """Fits that are asked for and not there."""
+    """Return the planned fits without result."""
     return [f for f in results.standings if f.stage == "fit" and f.state != "there"]
 
 
 def fit_data(results: Results) -> dict[str, Any]:
-    """Collect what the page's script shows of each fit."""
+    """Return the data that the script of the page shows of each fit."""
     fits: dict[str, Any] = {}
     for q in results.fits:
         fits[f"{q.fit}/{q.model}"] = {**_document(results, q), **_curves(results, q)}
@@ -108,7 +108,7 @@ def _overview(results: Results, name: str, there: Sequence[MadeFit]) -> list[Blo
 
 
 def _notes(fits: Sequence[MadeFit]) -> list[Block]:
-    """List the notes of the fits, each once, with the number of fits that carry it."""
+    """Return the notes of the fits, each once, with the number of fits that have it."""
     carried: dict[str, list[MadeFit]] = {}
     for q in fits:
         for note in q.result.notes:
@@ -148,7 +148,7 @@ def _document(results: Results, q: MadeFit) -> dict[str, Any]:
 
 
 def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
-    """Measured and simulated curves on the fit's own recordings, or why there are none."""
+    """Return measured and simulated curves on the recordings of a fit, or the reason why there are none."""
     shown, traces, reason = results.experiment.spec.figures.get(q.fit), [], ""
     for recording in recordings_of(results.experiment, q.fit, q.model):
         try:

@@ -1,4 +1,4 @@
-"""PageSection on the impacts: what the impacts of a hammer say of the modes, beside the model and the paper."""
+"""Section on the impacts: modes identified from hammer impacts, compared with the model and the paper."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _QUANTITIES = (("frequency", " [Hz]", ".1f"), ("damping", "", ".3f"))
 
 
 def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Show the impact studies; None when the experiment asks for none."""
+    """Return the section with the impact studies; None when the experiment has none."""
     section = results.experiment.spec.impacts
     if section is None:
         return None
@@ -66,7 +66,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
 
 
 def _pictured(pictures: Pictures, results: Results) -> list[Block]:
-    """Draw the responses of all loops to the same impact, operating point by operating point."""
+    """Return pictures of the responses of all loops to the same impact, for each operating point."""
     blocks: list[Block] = []
     for loops in map(results.labelled, results.loops):
         conditions = next(iter(loops.values())).conditions

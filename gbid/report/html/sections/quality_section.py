@@ -1,4 +1,4 @@
-"""PageSection on the data: excitation, what is wrong with them, what the prefilter took out."""
+"""Section on the data: excitation, problems of signals, corrections of the prefilter."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from gbid.report.tables.recording_tables import position_unit
 from gbid.tables.table import Column, Table
 
 ALIKE = 0.5
-"""Correlation of the two excitations above which their effects are hard to tell apart."""
+"""Correlation of the two excitations above which their effects can hardly be separated."""
 WORSE = 1e-3
-"""Share of the variance by which a run-out map may enlarge the position without being named."""
+"""Share of the variance by which a run-out map may increase the position before the page lists it."""
 
 
 def quality_section(results: Results) -> PageSection:
-    """Describe the recordings, their problems, and what the prefilter took out of them."""
+    """Return the section with the recordings, their problems, and the corrections by the prefilter."""
     blocks: list[Block] = []
     recordings = results.recordings
     if not recordings:
-        blocks.append(Words("No excited recording is there yet."))
+        blocks.append(Words("There is no excited recording yet."))
         return PageSection("data", "Data quality", blocks)
     problems = [text for q in recordings for text in q.problems]
     if problems:
         blocks += [Words(f"{len(problems)} problems found in {len(recordings)} recordings:", "bad"), Listed(problems)]
     else:
-        text = f"{len(recordings)} excited recordings looked at: no dead, saturated or swapped channel, no rub."
+        text = f"{len(recordings)} excited recordings checked: no dead, saturated or swapped channel, no rub."
         blocks.append(Words(text, "good"))
     alike = [q for q in recordings if q.alike is not None and abs(q.alike) > ALIKE]
     for q in alike:

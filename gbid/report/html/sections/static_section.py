@@ -1,4 +1,4 @@
-"""PageSection on the static characterisation: the map from piezos to disc, and the hysteresis of the stacks."""
+"""Section on the static characterisation: map from piezos to disc, and hysteresis of the stacks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MICROMETRES = 1e6
 
 
 def static_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Show the first static map and all piezos; None when the experiment asks for none."""
+    """Return the section with the first static map and all piezos; None when the experiment has none."""
     kinds = [section.kind for section in results.experiment.spec.static.values()]
     if not kinds:
         return None

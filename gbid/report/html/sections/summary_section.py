@@ -1,4 +1,4 @@
-"""The top of the page: what to worry about, what there is, what was not done."""
+"""Summary at the top of the page: warnings, numbers of results, and parts that were not done."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _STAGES = {"rig": "recordings", "import": "recordings", "prefilter": "prefiltere
 
 
 def warnings(results: Results) -> list[Link]:
-    """List what a reader should know before trusting anything, each with where to look."""
+    """Return the warnings of all results, each with a link to its section."""
     found = [
         Link(f"{f.stage} {f.item}: {f.text}", "#data")
         for f in results.standings
@@ -77,7 +77,7 @@ def _fits(n: int) -> str:
 
 
 def summary_section(results: Results, found: list[Link]) -> PageSection:
-    """Warnings first, then what there is."""
+    """Return the section with warnings first, then the numbers of results."""
     blocks: list[Block] = []
     if found:
         blocks += [Words(f"{len(found)} {'thing' if len(found) == 1 else 'things'} to look at:", "warn"), Listed(found)]
@@ -94,12 +94,12 @@ def summary_section(results: Results, found: list[Link]) -> PageSection:
 
 
 def not_done(results: Results) -> list[str]:
-    """Say which parts of the method this experiment leaves out."""
+    """Return the parts of the method that the experiment does not use."""
     spec = results.experiment.spec
     missing = [
-        ("prefilter", spec.prefilter is not None, "no run-out, offset or spike was taken out of the recordings"),
+        ("prefilter", spec.prefilter is not None, "run-out, offset and spikes were not removed from the recordings"),
         ("static", bool(spec.static), "no static characterisation from staircases"),
-        ("crossval", bool(spec.crossval), "no model was put to recordings that it was not fitted to"),
+        ("crossval", bool(spec.crossval), "no model was validated on recordings to which it was not fitted"),
         ("nominal", spec.nominal is not None, "no nominal actuator was chosen"),
         ("lpv", spec.lpv is not None, "no surfaces over pressure and speed"),
     ]
@@ -107,5 +107,5 @@ def not_done(results: Results) -> list[str]:
     if not results.designs.found:
         texts.append("no controller was designed")
     if not results.assessed:
-        texts.append("no controller was looked at")
+        texts.append("no controller was assessed")
     return texts

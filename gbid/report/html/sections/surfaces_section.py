@@ -1,4 +1,4 @@
-"""PageSection on the surfaces over pressure and speed, with the estimates on them."""
+"""Section on the surfaces over pressure and speed, with the estimates."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _MODES: dict[Literal["frequency", "damping"], str] = {
     "damping": "damping factors",
 }
 LACK = 0.01
-"""Probability below which surfaces count as missing the points' means."""
+"""Probability below which the lack of fit of the surfaces is significant."""
 
 
 def surfaces_section(results: Results, pictures: Pictures) -> PageSection:
-    """Show each fit of surfaces."""
+    """Return the section with each surface fit."""
     title = "Surfaces over pressure and speed"
     if results.experiment.spec.lpv is None:
         return PageSection("surfaces", title, [Words("This experiment draws no surfaces (it has no section lpv).")])
@@ -73,7 +73,7 @@ def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[
     for what, word in _MODES.items():
         try:
             panels = modes_data(fit.model, what)
-        except GbidError as error:  # surfaces that make no sense somewhere
+        except GbidError as error:  # surfaces without physical meaning at some point
             blocks.append(Words(f"{item}: {word} cannot be drawn: {error}", "warn"))
             continue
         alt = f"{item}: {word} of the two modes of the open loop over pressure, at three speeds"

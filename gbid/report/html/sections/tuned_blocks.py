@@ -1,4 +1,4 @@
-"""What the tuning says of its designs: aim reached, what held it back, notes, and the Pareto front."""
+"""Blocks on the results of the tuning: objective, active limits, notes, and the Pareto front."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from gbid.tables.table import Column, Table
 
 
 def held_back(design: TunedDesign) -> list[str]:
-    """List what a reader should know before trusting a design: limits missed, gains at their bounds."""
+    """Return the warnings of a design: limits that are not met, and gains on their bounds."""
     result = design.result
     found = []
     if not result.success:
@@ -25,7 +25,7 @@ def held_back(design: TunedDesign) -> list[str]:
 
 
 def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
-    """Show what the tuning says of each design, and all designs between robustness and damping."""
+    """Return blocks with the tuning result of each design, and all designs over robustness and damping."""
     tuned = results.designs.found
     blocks: list[Block] = [Words(f"{name}: {text}", "warn") for name, text in results.designs.missing.items()]
     if not tuned:

@@ -19,13 +19,13 @@ from gbid.tables.table import Cell, Column, Entry, Table, formatted
 from gbid.validate import ValidationSummary
 
 _PAPERS = {"rotor_bearing": "bearing", "piezo_pair": "actuator"}
-"""What the paper's list calls the fits of a structure."""
-_HISTOGRAM = 6  # pairs from which a histogram says more than a table
+"""Names of the fits of a structure in the list of the paper."""
+_HISTOGRAM = 6  # smallest number of pairs for a histogram
 _LISTED = 40
 
 
 def validation_section(results: Results, pictures: Pictures) -> PageSection:
-    """Show how models explain recordings that they were not fitted to."""
+    """Return the section with the fit of models on recordings to which they were not fitted."""
     asked = results.experiment.spec.crossval
     if not asked:
         return PageSection("validation", "Cross-validation", [Words("This experiment asks for no cross-validation.")])
@@ -132,7 +132,7 @@ def _validated(
 
 
 def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
-    """Fit percent that the paper gives for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
+    """Return the fit percent in the paper for its 86 recordings (Sec. 3.8, Figs. 9 and 10), by output."""
     word = _PAPERS.get(structure)
     known = {number.id: number.value for number in paper_numbers()} if word else {}
     ids = {output: [f"{word}_{what}_{output[-1]}" for what in ("mean", "std")] for output in summary.output_names}
@@ -142,7 +142,7 @@ def _paper(structure: str, summary: ValidationSummary) -> dict[str, str]:
 
 
 def nominal_section(results: Results, pictures: Pictures) -> PageSection | None:
-    """Show the nominal actuator; None when nobody asked for one."""
+    """Return the section with the nominal actuator; None when the experiment has none."""
     section = results.experiment.spec.nominal
     if section is None:
         return None
