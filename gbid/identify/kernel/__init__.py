@@ -1,1 +1,1 @@
-"""The pass over the samples: blocks, recursion, and the compiled or numpy engine that runs it."""
+"""Pass over the samples: blocks, recursion, and the compiled or numpy engine that runs it."""

@@ -1,4 +1,4 @@
-"""What a pass over the samples gives per block, and what runs it."""
+"""Results of a pass over the samples, and the protocol of its engine."""
 
 from __future__ import annotations
 
@@ -10,17 +10,24 @@ from gbid.identify.predictor import PredictorValues
 
 
 class BlockSums(NamedTuple):
-    """What a pass gives: sums over all blocks, then values of each of the W blocks, padding included.
+    """Results of a pass: sums over all blocks, then values of each of the W blocks, with padding.
 
     Attributes
     ----------
     hessian : (n_p, n_p) array
+        Gauss-Newton Hessian by the parameters.
     products : (n_y, n_y) array
+        Sum of the products of errors.
     gradient : (W, n_p) array
+        Gradient by the parameters.
     gradient_start : (W, n) array
+        Gradient by the start state of each block.
     mixed : (W, n_p, n) array
+        Gauss-Newton Hessian by parameters and start state.
     end : (W, n) array
+        State at the end of each block.
     end_theta : (W, n, n_p) array
+        Derivative of this state by the parameters.
     """
 
     hessian: FloatArray
@@ -50,7 +57,7 @@ class Prediction(NamedTuple):
 
 
 class PassEngine(Protocol):
-    """Something that runs the recursion over all blocks."""
+    """Engine: it runs the recursion over all blocks."""
 
     def __call__(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, root: FloatArray, free: FloatArray
@@ -71,7 +78,7 @@ class PassEngine(Protocol):
         ...
 
     def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
-        """Run the state alone, from starts (n, W)."""
+        """Return states and errors from starts (n, W), without sensitivities."""
         ...
 
     def adjoint(

@@ -1,4 +1,4 @@
-"""Records cut into shooting windows, and these into equal blocks that run side by side."""
+"""Records cut into shooting windows, and windows cut into equal blocks that run in parallel lanes."""
 
 from __future__ import annotations
 
@@ -12,23 +12,24 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.data import FitData
 from gbid.identify.predictor import Predictor
 
-LONGEST_BLOCK = 512  # samples; a longer shooting window is made of several blocks, see gbid.identify.kernel.sweep
-LANES = 8  # blocks side by side in one vector register of the widest kind
+LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sweep
+LANES = 8  # blocks in one group: doubles in the widest vector register
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """A stretch of one record that runs through without interruption.
+    """Uninterrupted part of one record.
 
     Attributes
     ----------
     inputs : (n_samples, n_inputs) array
-        Of the whole record: late and following inputs reach beyond the stretch.
+        Inputs of the whole record: delayed and following inputs reach beyond the part.
     outputs : (n_samples, n_outputs) array
+        Outputs of the whole record.
     counts : (n_samples,) array or None
-        1 for samples that enter the cost, 0 for those left out; None when all do.
+        1 for samples in the cost, 0 for samples left out; None when all count.
     start, stop : int
-        The stretch; to the end of the record when `stop` is None.
+        First sample and the sample after the last; `stop` is None at the end of the record.
     """
 
     inputs: FloatArray
@@ -38,7 +39,7 @@ class Segment:
     stop: int | None = None
 
     def part(self, rows: FloatArray) -> FloatArray:
-        """Cut rows of the record down to the stretch."""
+        """Return the rows of the record that belong to the part."""
         return rows[self.start : self.stop]
 
 

@@ -1,4 +1,4 @@
-"""Which engine runs the pass: the compiled kernel, or numpy where there is no compiler."""
+"""Choice of the engine that runs the pass: the compiled kernel, or numpy without a compiler."""
 
 from __future__ import annotations
 
@@ -23,14 +23,16 @@ RunEngine = Literal["compiled", "numpy"]
 
 
 class ChosenEngine(NamedTuple):
-    """An engine and a word on it.
+    """Engine with its name and a note.
 
     Attributes
     ----------
     run : PassEngine
+        The engine.
     name : {"compiled", "numpy"}
+        Its name.
     note : str
-        Why it is not the compiled one, when that was wanted; else empty.
+        Reason why it is not the compiled one, if that was wanted; else empty.
     """
 
     run: PassEngine
@@ -39,23 +41,24 @@ class ChosenEngine(NamedTuple):
 
 
 def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenEngine:
-    """Choose an engine for predictors of one size.
+    """Return the engine for predictors of one size.
 
     Parameters
     ----------
     wanted : {"auto", "compiled", "numpy"}
-        ``"auto"`` takes the compiled kernel where a C compiler is at hand and says so where not.
+        ``"auto"`` is the compiled kernel if there is a C compiler; without one, the note reports it.
     samples : list of PredictorValues
-        The predictor at some parameter values, to see which entries are zero for good.
+        The predictor at some parameter values, which show the entries that are always zero.
 
     Returns
     -------
     ChosenEngine
+        Engine with its name and a note.
 
     Raises
     ------
     UsageError
-        When the compiled kernel is insisted on and there is no compiler.
+        When the compiled kernel is required and there is no compiler.
     """
     if wanted not in ("auto", "compiled", "numpy"):
         raise UsageError(f"engine = {wanted!r}; choose 'auto', 'compiled' or 'numpy'")
@@ -91,12 +94,12 @@ class CompiledEngine:
         self._pass.restype = self._predict.restype = self._adjoint.restype = None
 
     def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
-        """Make the kernel anew where the predictor has met other nonzeros; return the regressors."""
+        """Rebuild the kernel if the predictor has new nonzeros; return the regressors."""
         met = pattern_of(v)
         if not self._pattern.covers(met):
             self._build(self._pattern.union(met))
         if blocks.lanes != LANES:
-            raise UsageError(f"the compiled pass wants {LANES} blocks in a group, not {blocks.lanes}")
+            raise UsageError(f"the compiled pass needs {LANES} blocks in a group, not {blocks.lanes}")
         return blocks.z(v.shift)
 
     def __call__(

@@ -1,4 +1,4 @@
-"""The pass over the samples in numpy: the portable engine, and the yardstick of the compiled one."""
+"""Pass over the samples in numpy: the portable engine, and the reference for the compiled one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
-_CHUNK_BYTES = 32 * 2**20  # sensitivities that the numpy pass holds at a time
+_CHUNK_BYTES = 32 * 2**20  # largest size of the sensitivities in memory
 
 
 class NumpyEngine:
@@ -81,7 +81,7 @@ run_with_numpy = NumpyEngine()
 
 
 def _flat(values: FloatArray) -> FloatArray:
-    """Put groups side by side: (n_groups, length, n, lanes) to (length, n, n_groups * lanes)."""
+    """Return groups side by side: (n_groups, length, n, lanes) to (length, n, n_groups * lanes)."""
     return np.ascontiguousarray(values.transpose(1, 2, 0, 3)).reshape(values.shape[1], values.shape[2], -1)
 
 
@@ -95,7 +95,7 @@ def _run(
     root: FloatArray,
     free: FloatArray,
 ) -> BlockSums:
-    """Run W blocks side by side, their samples in the last axis, and sum up."""
+    """Run W blocks in parallel, their samples in the last axis, and return the sums."""
     n, n_p, n_y = len(v.F), len(v.dF), len(v.C)
     length, _, width = z.shape
     # Column 0 of the joined state is x, column 1 + i is s_i; the drive of x comes from z alone.

@@ -19,12 +19,14 @@ _TILE = 4
 
 @dataclass(frozen=True, eq=False)
 class KernelPattern:
-    """Which entries of the predictor's matrices may differ from zero.
+    """Pattern of the entries of the predictor's matrices that may differ from zero.
 
     Attributes
     ----------
     F : (n, n), G : (n, n_z), C : (n_y, n), H : (n_y, n_z) boolean arrays
-    dF, dG, dC, dH : the same behind a first axis of parameters
+        Patterns of the matrices.
+    dF, dG, dC, dH : boolean arrays
+        Patterns of the derivatives, with a first axis of parameters.
     """
 
     F: BoolArray

@@ -1,4 +1,4 @@
-"""One pass over the samples: cost, gradient, Gauss-Newton Hessian and end states of every window.
+"""One pass over the samples: cost, gradient, Gauss-Newton Hessian and end states of each window.
 
 The predictor is linear in the state, so the pass is a recursion over ``x`` and its parameter sensitivities
 ``s_i = dx / dtheta_i``:
@@ -6,10 +6,10 @@ The predictor is linear in the state, so the pass is a recursion over ``x`` and 
     x[k+1] = F x[k] + G z[k],     s_i[k+1] = F s_i[k] + (dF_i x[k] + dG_i z[k]),
     yhat[k] = C x[k] + H z[k],    psi_i[k] = C s_i[k] + dC_i x[k] + dH_i z[k],
 
-run for all blocks side by side, each from its own start. The free response from a start is ``F^k``, the same
-for all blocks. A window of several blocks is linked afterwards, exactly, through the sensitivity of each
-inner start to the parameters and to the start of the window: single shooting is the case of one window, and
-costs no more than multiple shooting.
+for all blocks in parallel, each from its own start. The free response to a start is ``F^k``, the same for all blocks.
+Windows of several blocks are linked afterwards. The link is exact: it uses the sensitivity of each inner start to the
+parameters and to the start of the window. Single shooting is the case of one window, and has the same cost as
+multiple shooting.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def powers_of(F: FloatArray, count: int) -> FloatArray:
 
 
 def forced_states(v: PredictorValues, blocks: Blocks) -> FloatArray:
-    """States of all blocks from zero start, and after their end: (length + 1, n, W)."""
+    """Return the states of all blocks from zero start, and after their end: (length + 1, n, W)."""
     z = blocks.z(v.shift)
     n_groups, length, _, lanes = z.shape
     n = len(v.F)
@@ -111,25 +111,25 @@ def along_windows(blocks: Blocks, starts: FloatArray, ends: FloatArray, transiti
 
 
 def block_starts(blocks: Blocks, starts: FloatArray, ends: FloatArray, transition: FloatArray) -> FloatArray:
-    """Start state of every block, (n, W), from the windows' starts (n_windows, n) and forced ends (n, W)."""
+    """Return the start state of each block, (n, W), from starts of windows (n_windows, n) and forced ends (n, W)."""
     return along_windows(blocks, starts.T[:, :, None], ends[:, :, None], transition)[:, :, 0]
 
 
 def from_starts(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> Prediction:
-    """States and errors from the windows' starts (n_windows, n)."""
+    """Return states and errors from the starts of the windows (n_windows, n)."""
     run = engine or run_with_numpy
     return run.predict(v, blocks, starts_of_blocks(v, blocks, starts, powers_of(v.F, blocks.length)[-1], run))
 
 
 def residuals(v: PredictorValues, blocks: Blocks, starts: FloatArray, engine: PassEngine | None = None) -> FloatArray:
-    """Prediction errors ``y - yhat``, (n_groups, length, n_y, lanes), zero where samples do not count."""
+    """Return prediction errors ``y - yhat``, (n_groups, length, n_y, lanes), zero where samples do not count."""
     return from_starts(v, blocks, starts, engine).errors
 
 
 def starts_of_blocks(
     v: PredictorValues, blocks: Blocks, starts: FloatArray, transition: FloatArray, run: PassEngine
 ) -> FloatArray:
-    """State at the start of every block, (n, W), from the windows' starts (n_windows, n)."""
+    """Return the state at the start of each block, (n, W), from the starts of the windows (n_windows, n)."""
     at_rest = np.zeros((len(v.F), len(blocks.size)))
     if blocks.per_window > 1:
         return block_starts(blocks, starts, run.predict(v, blocks, at_rest).end, transition)
@@ -230,7 +230,7 @@ def link(blocks: Blocks, end_theta: FloatArray, powers: FloatArray) -> Linked:
 
 
 def joined(blocks: Blocks, sums: BlockSums, start_hessian: FloatArray, linked: Linked) -> Sweep:
-    """Sum the blocks of each window up."""
+    """Return the sums over the blocks of each window."""
     first, live = blocks.window_first, slice(0, blocks.n_blocks)
     S, P = linked.by_theta[live], linked.by_start[live]
     mixed, start, gradient_start = sums.mixed[live], start_hessian[live], sums.gradient_start[live]

@@ -1,1 +1,1 @@
-"""The nonlinear programme of a fit: multiple shooting, scaling, derivatives and the solver."""
+"""Nonlinear programme of a fit: multiple shooting, derivatives and the solver."""

@@ -20,7 +20,7 @@ from gbid.identify.predictor import PredictorValues
 
 
 def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
-    """Multipliers of the windows' ends, (n_windows, n), in physical units: the gaps', zero where none follows."""
+    """Return the multipliers at the ends of windows, (n_windows, n), in physical units; zero without a next window."""
     ends = np.zeros((problem.n_windows, problem.n_states))
     ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
     return ends

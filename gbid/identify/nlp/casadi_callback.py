@@ -1,4 +1,4 @@
-"""Python functions as CasADi calls them."""
+"""Python functions as CasADi callbacks."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import casadi as ca
 
 
 class Oracle(ca.Callback):
-    """A Python function with named, shaped arguments, as CasADi wants it."""
+    """CasADi callback of a Python function with named arguments and their shapes."""
 
     def __init__(
         self,

@@ -1,4 +1,4 @@
-"""Columns of the Hessian as they are, what Gauss-Newton leaves out included: differences of the adjoint's gradient."""
+"""Exact columns of the Hessian, with the part that Gauss-Newton omits: differences of the adjoint gradient."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def exact_columns(
 def _moved(
     problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray
 ) -> tuple[PredictorValues, float]:
-    """Predictor of a part with one of its own parameters a little off, inwards from its bounds, and by how much."""
+    """Return the predictor of a part with one own parameter moved inwards from its bounds, and the size of the move."""
     own = np.array(part.own(theta), float)
     onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
     step = _DIFFERENCE * float((onto * units[part.index]).max())

@@ -1,8 +1,8 @@
-"""The Hessian that the solver is handed: Gauss-Newton, or that and what it leaves out.
+"""Hessians for the solver: Gauss-Newton, or Gauss-Newton with the part that it omits.
 
-Gauss-Newton leaves out the errors times the predictor's second derivatives. With white errors that is next to
-nothing; where they are coloured (process noise, a film that is not linear, whirl) it is as large as the rest in some
-direction, and Gauss-Newton creeps along it.
+Gauss-Newton omits the product of the errors and the second derivatives of the predictor. For white errors this part is
+almost zero. For coloured errors (process noise, a nonlinear film, whirl) it is as large as the rest in some
+directions, and Gauss-Newton converges slowly there.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 
-_REFRESH = 2  # iterations for which exact columns serve
-_COLOURED = 0.1  # correlation of neighbouring errors, above which they do not count as white
-_LEAST = 0.01  # of Gauss-Newton's curvature
-_FLAT = 1e-12  # of the largest: parameters that a part does not tell apart
+_REFRESH = 2  # number of iterations that use the same exact columns
+_COLOURED = 0.1  # correlation of neighbouring errors above which they do not count as white
+_LEAST = 0.01  # smallest curvature, as a part of that of Gauss-Newton
+_FLAT = 1e-12  # largest curvature of an undetermined direction, as a part of the largest
 
 
 class Curvature(Protocol):
-    """Entries of the Lagrangian's Hessian where `Shooting.hessian_pattern` has them."""
+    """Function for the entries of the Lagrangian's Hessian in the order of `Shooting.hessian_pattern`."""
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
         """Evaluate at a point, for multipliers of cost and gaps."""
@@ -33,7 +33,7 @@ class Curvature(Protocol):
 
 
 class GaussNewton:
-    """Products of first derivatives, which come with each pass."""
+    """Gauss-Newton Hessian: products of first derivatives, which each pass computes."""
 
     def __init__(self, problem: Shooting) -> None:
         self._problem = problem
@@ -76,7 +76,7 @@ class ExactHessian:
 
 
 def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
-    """Gauss-Newton's Hessian of each part at an evaluated point."""
+    """Return the Gauss-Newton Hessian of each part at an evaluated point."""
     found = []
     for part, s in zip(problem.parts, iterate.sweeps, strict=True):
         t = problem.theta_scale[part.index]
@@ -108,7 +108,7 @@ def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
 
 
 def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
-    """Return the correlation of neighbouring errors, that of the output where it is largest."""
+    """Return the correlation of neighbouring errors, for the output with the largest one."""
     theta, starts = problem.unpack(unknowns)
     errors = problem.errors(problem.values(theta), starts)
     products = sum(np.einsum("gkyw,gkyw->y", e[:, 1:], e[:, :-1]) for e in errors)

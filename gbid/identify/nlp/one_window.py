@@ -1,4 +1,4 @@
-"""The same problem with each segment of a record as one window: the last iterations have few unknowns left."""
+"""Problem with each segment of a record as one window: it has fewer unknowns for the last iterations."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the Jacobian of the gaps and the Hessian of the shooting problem have entries."""
+"""Sparsity patterns of the Jacobian of the gaps and of the Hessian of the shooting problem."""
 
 from __future__ import annotations
 

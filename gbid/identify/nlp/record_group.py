@@ -1,4 +1,4 @@
-"""What the shooting problem is made of: groups of records, what is known beforehand, what it says at a point."""
+"""Parts of the shooting problem: groups of records, prior knowledge, and values at a point."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from gbid.identify.predictor import Predictor
 
 @dataclass(frozen=True, eq=False)
 class RecordGroup:
-    """Segments that share one predictor and the same values of its parameters.
+    """Segments with the same predictor and the same values of its parameters.
 
     Attributes
     ----------
     predictor : Predictor
+        Predictor of all segments.
     blocks : Blocks
+        The segments, cut into blocks.
     index : (n_p,) integer array
-        Which of the problem's parameters are those of the predictor.
+        Positions of the predictor's parameters in those of the problem.
     engine : PassEngine
-        Runs the pass.
+        Engine of the pass.
     tie : (n_own, n_p) array or None
-        When the predictor's own parameters are linear in the problem's, ``own = tie @ theta[index]``; None when they
-        are those of `index` themselves.
+        Matrix of parameters that are linear in those of the problem, ``own = tie @ theta[index]``; None when they are
+        equal to those of `index`.
     """
 
     predictor: Predictor
@@ -38,7 +40,7 @@ class RecordGroup:
     tie: FloatArray | None = None
 
     def own(self, theta: FloatArray) -> FloatArray:
-        """Values of the predictor's parameters at the problem's parameters."""
+        """Return the values of the predictor's parameters for parameters of the problem."""
         return theta[self.index] if self.tie is None else np.asarray(self.tie @ theta[self.index])
 
     @property
@@ -50,7 +52,7 @@ class RecordGroup:
         return self.index[np.flatnonzero(self.tie[rows].any(axis=0))]
 
     def within_bounds(self, theta: FloatArray) -> bool:
-        """Whether parameters that are tied lie where the predictor allows them: no bound of an unknown says so."""
+        """Return whether tied parameters are inside the predictor's bounds; bounds of unknowns do not ensure it."""
         if self.tie is None:
             return True
         free = self.predictor.free
@@ -58,21 +60,24 @@ class RecordGroup:
 
 
 class Iterate(NamedTuple):
-    """What a solver asks for at one point, in scaled units.
+    """Values at one point for the solver, in scaled units.
 
     Attributes
     ----------
     cost : float
+        Cost.
     gradient : (n_unknowns,) array
+        Gradient of the cost.
     gaps : (n_gaps,) array
+        Gaps between windows.
     jacobian : (n_nonzeros,) array
-        Entries of the Jacobian of the gaps, where the problem's pattern has them.
+        Entries of the Jacobian of the gaps, in the order of its pattern.
     hessian : (n_nonzeros,) array
-        Entries of the upper triangle, where the problem's pattern has them.
+        Entries of the upper triangle of the Hessian, in the order of its pattern.
     sweeps : tuple of Sweep
-        What the pass says of each part, in physical units; empty where the problem has no value.
+        Results of the pass for each part, in physical units; empty where the problem has no value.
     factor : float
-        What brings the sums of a sweep to the scale of the cost.
+        Factor from the sums of a sweep to the scale of the cost.
     """
 
     cost: float
@@ -100,13 +105,14 @@ class GroupGradient(NamedTuple):
 
 
 class Prior(NamedTuple):
-    """What is known of parameters beforehand: normal, independent.
+    """Prior knowledge of parameters: independent normal distributions.
 
     Attributes
     ----------
     mean : (n_p,) array
+        Means.
     information : (n_p,) array
-        Inverse variances; zero where nothing is known.
+        Inverse variances; zero without prior knowledge.
     """
 
     mean: FloatArray

@@ -1,8 +1,8 @@
-"""The multiple-shooting problem of a prediction-error fit, as numbers.
+"""Multiple-shooting problem of a prediction-error fit, evaluated numerically.
 
-Unknowns are the free parameters and the state at the start of each window; the cost is the prediction error
-of Eq. 15 (or the log-determinant of its covariance); constraints say that each window ends where the next
-begins. All is scaled to the order of one; one pass over the samples serves cost, gradient, constraints,
+Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error
+of Eq. 15 (or the log-determinant of its covariance). Constraints require that each window ends where the next
+begins. All is scaled to the order of one. One pass over the samples gives cost, gradient, constraints,
 Jacobian and Gauss-Newton Hessian of an iterate.
 """
 
@@ -167,7 +167,7 @@ class Shooting:
         return 0.5 * float(np.linalg.slogdet((error_products + self._floor * np.eye(n_y)) / self._power)[1])
 
     def at(self, unknowns: FloatArray) -> Iterate:
-        """Evaluate at a point, or hand back the last evaluation when the point is the same."""
+        """Return the values at a point; those of the last point are stored."""
         key = unknowns.tobytes()
         if key not in self._last:
             iterate = self._evaluate(unknowns)

@@ -39,15 +39,18 @@ _BY_IPOPT = {
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the solver stopped, and why.
+    """Last iterate of the solver, and the reason why it stopped.
 
     Attributes
     ----------
     unknowns : (n_unknowns,) array
-        Scaled.
+        Scaled unknowns.
     status : FitStatus
+        Reason.
     iterations : int
+        Number of iterations.
     history : tuple of Progress
+        Progress of each iteration.
     """
 
     unknowns: FloatArray
@@ -210,7 +213,7 @@ def _ipopt(
 
 
 def _status(by_ipopt: str, watch: Watch) -> FitStatus:
-    """Say why the solver stopped: the watch's reason where it was the one to stop it."""
+    """Return the status: the reason of the watch if it stopped the solver, else that of IPOPT."""
     if by_ipopt == "User_Requested_Stop":
         if watch.settled:
             return FitStatus.CONVERGED_BY_PAPER_RULE
@@ -233,9 +236,9 @@ def _sparsity(pattern: Pattern) -> ca.Sparsity:
 
 @contextmanager
 def _interruptible() -> Iterator[Interrupt]:
-    """Let Ctrl-C end the solver at its next iteration, where all is in order, instead of within a callback.
+    """Return a context in which Ctrl-C ends the solver at its next iteration instead of within a callback.
 
-    Not where Ctrl-C is ignored already: in a worker, whose runner hears it and ends the worker.
+    Nothing changes where Ctrl-C is ignored already, as in a worker process, which its runner stops.
     """
     interrupt = Interrupt()
     heard = threading.current_thread() is threading.main_thread() and signal.getsignal(signal.SIGINT) != signal.SIG_IGN

@@ -1,4 +1,4 @@
-"""How far predictors are from instability, to which a disturbance gain can lead them."""
+"""Distance of predictors from instability, which a disturbance gain can reduce."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ def spectral_radius(values: list[PredictorValues]) -> float:
 
 
 def near_instability(predictor: Predictor, own: FloatArray, share: float) -> bool:
-    """Whether the disturbance gain leaves no more than a share of the model's own margin of stability.
+    """Return whether the disturbance gain leaves at most a share of the stability margin of the model.
 
     Parameters
     ----------
     predictor : Predictor
+        The predictor.
     own : (n_own,) array
         Values of its parameters.
     share : float
+        The share.
     """
     still = np.array(own, float)
     still[list(predictor.noise)] = 0.0

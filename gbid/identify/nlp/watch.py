@@ -1,4 +1,4 @@
-"""What is looked at in each iteration of the solver: progress, when to stop, Ctrl-C."""
+"""Watch over the iterations of the solver: progress, stopping rules, Ctrl-C."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Interrupt:
 
 
 class Watch(ca.Callback):
-    """Called at each iteration: reports, applies the paper's stopping rule, answers Ctrl-C."""
+    """Callback of each iteration: it reports progress, applies the stopping rules, and ends the solver on Ctrl-C."""
 
     def __init__(
         self,
@@ -138,10 +138,10 @@ class Watch(ca.Callback):
         return [int(self.interrupt.pressed or ended or given_up)]
 
     def _nothing_to_gain(self, x: FloatArray) -> bool:
-        """Whether Gauss-Newton would hardly move from here.
+        """Return whether a Gauss-Newton step from here would be very small.
 
-        Where the solver has another Hessian, its steps may be small as this is wrong, not as the minimum is reached.
-        At the edge of an unstable predictor there is no minimum to reach, which the result says.
+        With another Hessian, small steps of the solver may mean a wrong Hessian, not a minimum. Near an unstable
+        predictor there is no minimum, which the result reports.
         """
         problem, iterate = self._problem, self._problem.at(x)
         if self._changes_over or problem.at_edge(problem.unpack(x)[0]):
@@ -171,7 +171,7 @@ class Watch(ca.Callback):
         return spectral_radius(self._problem.values(theta))
 
     def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
-        """Length of a step in the metric of the information at its end."""
+        """Return the length of a step in the metric of the information at its end."""
         pattern, entries = self._problem.hessian_pattern, self._problem.at(x).hessian
         twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
         square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
@@ -179,7 +179,7 @@ class Watch(ca.Callback):
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:
-    """Count the iterations until steps are below the tolerance, were they to shrink as the last one did."""
+    """Return the number of iterations until steps are below the tolerance, at the rate of the last step."""
     if not sigma < before:
         return np.inf
     return float(np.log(max(sigma / _STEP_TOLERANCE, 1.0)) / np.log(before / max(sigma, 1e-300)))

@@ -1,1 +1,1 @@
-"""From recordings and options to the shooting problem."""
+"""Shooting problem of a fit, from recordings and options."""

@@ -1,4 +1,4 @@
-"""Assembly of a fit: parts, links, and who shares which parameter, from recordings and options."""
+"""Assembly of a fit from recordings and options: parts, links, and shared parameters."""
 
 from __future__ import annotations
 
@@ -160,12 +160,12 @@ def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -
 
 
 def _check_names(data: FitData) -> None:
-    """Refuse recordings of one name where options tell them apart by it."""
+    """Refuse recordings with equal names if options identify them by name."""
     names = [record.name for record in data.records]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise UsageError(
-            f"several recordings are named {twice[0]!r}; local parameters, offsets and left_out tell recordings apart "
+            f"several recordings are named {twice[0]!r}; local parameters, offsets and left_out identify recordings "
             "by name, so give each its own"
         )
 
@@ -198,7 +198,7 @@ def _full_names(
 
 
 def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[str, str]]) -> tuple[Parameter, ...]:
-    """Shared parameters once, local ones once for each group, in the structure's order."""
+    """Return shared parameters once and local ones once for each group, in the order of the structure."""
     found: dict[str, Parameter] = {}
     for q in parameters:
         for names in record_names:
@@ -229,7 +229,7 @@ def automatic_window(data: FitData, focus: Focus) -> int:
 def full_start(
     assembly: Assembly, begin: Mapping[str, float], offsets: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, float]:
-    """Start values under full names: every group of a local parameter starts alike, `offsets` for each record."""
+    """Return start values by full name: equal for all groups of a local parameter, `offsets` for each record."""
     full = dict(begin)
     for i, names in enumerate(assembly.record_names):
         own = {**begin, **(offsets[i] if offsets else {})}
@@ -240,7 +240,7 @@ def full_start(
 def offset_starts(
     structure: Structure, begin: Mapping[str, float], data: FitData, intersample: Hold | Sequence[Hold]
 ) -> list[dict[str, float]]:
-    """Start values of each record's offsets: what the model at its start leaves of the outputs on average."""
+    """Return start values of the offsets of each record: the mean residual of the model at its start values."""
     starts = []
     for record in data.records:
         model = evaluate(structure, begin)

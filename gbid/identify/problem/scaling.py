@@ -1,4 +1,4 @@
-"""The shooting problem of an assembled fit: scales, window starts, bounds, priors."""
+"""Shooting problem of an assembled fit: scales, starts of windows, bounds, priors."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _prior(assembly: Assembly, prior: Mapping[str, tuple[float, float]]) -> Prio
 
 
 def _ridge_solve(hessian: FloatArray, gradient: FloatArray, scale: FloatArray) -> FloatArray:
-    """Solve per window, held near zero where a window says nothing about a state."""
+    """Solve for each window; a ridge keeps states near zero that the window does not determine."""
     scaled = hessian * np.outer(scale, scale)
     n = len(scale)
     ridge = 1e-6 * np.trace(scaled, axis1=1, axis2=2)[:, None, None] / n + 1e-300

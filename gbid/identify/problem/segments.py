@@ -1,4 +1,4 @@
-"""Segments of records, cut at what is left out and gathered by predictor; which windows follow one another."""
+"""Segments of records: cut at left-out samples, grouped by predictor, and the links between windows."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from gbid.identify.predictor import Predictor, PredictorValues
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Neighbouring samples of a record that all count, or a gap between such."""
+    """Consecutive samples of a record that all count, or a gap between such."""
 
     segment: Segment
     is_gap: bool
@@ -113,7 +113,7 @@ class GroupBuilder:
 
 
 def links_of(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    """Neighbouring windows within each segment, and over the edges of the segments of one record."""
+    """Return the links: neighbouring windows within each segment, and across the segments of one record."""
     links, i = [], 0
     for count in counts:
         for j in range(count):
@@ -126,6 +126,6 @@ def links_of(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
 
 
 def record_windows(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:
-    """First window of each record, from the windows of all segments and the number of segments of each record."""
+    """Return the first window of each record, from the windows and numbers of segments."""
     firsts = np.cumsum([0, *counts[:-1]])
     return np.array([windows[i][0] for i in firsts])

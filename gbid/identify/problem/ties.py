@@ -1,4 +1,4 @@
-"""Parameters of a structure that are linear in unknowns shared by all recordings, as surfaces make them."""
+"""Ties: parameters of a structure that are linear in unknowns shared by all recordings, as those of surfaces."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Ties:
     lift: FloatArray
 
     def own_names(self, record: str) -> dict[str, str]:
-        """Full names of what a record has for itself."""
+        """Return the full names of the own unknowns of a record."""
         return {q.name: f"{q.name}[{record}]" for q in self.own}
 
 

@@ -21,7 +21,7 @@ def plot_differential_pairing(ax: Axes | None = None) -> Figure:
     Parameters
     ----------
     ax : matplotlib Axes, optional
-        To draw into; a new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------
@@ -59,7 +59,7 @@ def plot_identification_flow(ax: Axes | None = None) -> Figure:
     Parameters
     ----------
     ax : matplotlib Axes, optional
-        To draw into; a new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------
@@ -106,7 +106,7 @@ def plot_rotor_bearing_model(ax: Axes | None = None) -> Figure:
     Parameters
     ----------
     ax : matplotlib Axes, optional
-        To draw into; a new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------
@@ -159,7 +159,7 @@ def plot_closed_loop(ax: Axes | None = None) -> Figure:
     Parameters
     ----------
     ax : matplotlib Axes, optional
-        To draw into; a new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------

@@ -97,7 +97,7 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Figure:
     ----------
     data : DampingMap
     ax : matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------

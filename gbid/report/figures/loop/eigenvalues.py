@@ -64,7 +64,7 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
     ----------
     data : Eigenvalues
     ax : matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
     largest_hz : float
         Poles further away from zero are not shown.
 
@@ -141,7 +141,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
     data : RootLocus
         From `root_locus_data`.
     ax : matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
     largest_hz : float
         Poles further away from zero are not shown.
 

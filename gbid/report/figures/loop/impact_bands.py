@@ -115,7 +115,7 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Fi
     ----------
     data : ImpactLoops
     ax : sequence of two matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------

@@ -121,7 +121,7 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Figure:
     ----------
     data : ParetoCurves
     ax : matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------

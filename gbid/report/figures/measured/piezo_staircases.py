@@ -154,7 +154,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     data : sequence of PiezoStaircase
         Open loop and PD control, for example. Steps down are mirrored and dashed.
     ax : sequence of two matplotlib Axes, optional
-        A new figure when left out.
+        Axes to draw into; a new figure when left out.
 
     Returns
     -------
