@@ -1,1 +1,1 @@
-"""Figures: a result in, axes out. Each file has its data, its drawing, and its names for `gbid figures`."""
+"""Figures: functions from a result to axes. Each file has data, drawing, and the names for `gbid figures`."""

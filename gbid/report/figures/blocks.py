@@ -1,4 +1,4 @@
-"""Pieces of a block diagram: blocks, sums, wires and what is written on them."""
+"""Elements of block diagrams: blocks, sums, wires and labels."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _RADIUS = 0.13
 
 
 def diagram(ax: Axes | None, width: float, top: float, inches: float, bottom: float = 0.0) -> Axes:
-    """Give axes of so many units for a diagram, `inches` wide where they are new."""
+    """Return axes with `width` units for a diagram; new axes are `inches` wide."""
     _, (ax, *_) = panels(ax, size=(inches, inches * (top - bottom) / width))
     ax.set(xlim=(0, width), ylim=(bottom, top), aspect="equal")
     ax.set_axis_off()
@@ -27,7 +27,7 @@ def diagram(ax: Axes | None, width: float, top: float, inches: float, bottom: fl
 
 @dataclass(frozen=True)
 class Block:
-    """A block around a centre, with the points where wires end."""
+    """Block with the points at which wires end."""
 
     x: float
     y: float
@@ -68,7 +68,7 @@ def block(
 
 
 def total(ax: Axes, x: float, y: float, **signs: str) -> Block:
-    """Draw a sum; signs by side, as ``left="+", bottom="-"``, stand beside the wires that end there."""
+    """Draw a sum; signs by side, as ``left="+", bottom="-"``, are written beside the wires that end there."""
     ax.add_patch(Circle((x, y), _RADIUS, facecolor=FILL, edgecolor=BLACK, linewidth=_LINE))
     places = {"left": (-0.24, 0.13), "right": (0.24, 0.13), "top": (0.15, 0.24), "bottom": (0.15, -0.24)}
     for side, sign in signs.items():
@@ -89,17 +89,17 @@ def wire(ax: Axes, points: Sequence[Point], arrow: bool = True, **style: Any) ->
 
 
 def dot(ax: Axes, x: float, y: float) -> None:
-    """Mark where a wire branches."""
+    """Mark a branch of a wire."""
     ax.plot(x, y, marker="o", markersize=3, color=BLACK)
 
 
 def word(ax: Axes, x: float, y: float, text: str, **options: Any) -> None:
-    """Write beside a wire."""
+    """Write a label beside a wire."""
     ax.text(x, y, text, **{"ha": "center", "va": "bottom", "fontsize": 9, **options})
 
 
 def frame(ax: Axes, x: float, y: float, width: float, height: float, text: str, down: float = 0.1) -> None:
-    """Draw a tinted frame around a group, from its lower left corner, with its name so far below its top."""
+    """Draw a tinted frame around a group, from its lower left corner, with its name `down` below its top."""
     style = "round,pad=0,rounding_size=0.1"
     box = FancyBboxPatch((x, y), width, height, style, facecolor=TINT, edgecolor="none", zorder=0)
     ax.add_patch(box)

@@ -1,4 +1,4 @@
-"""What all figures share: style, sizes for a two-column report, lines that are told apart in grey, units in labels."""
+"""Canvas of all figures: style, sizes for a two-column report, lines that differ also in grey, units in labels."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
-"""Widths of a figure in a report of two columns [inch]."""
+"""Widths of figures in a report of two columns [inch]."""
 
 BLACK, BLUE, RED, GREEN, PINK, GREY = "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#9e9e9e"
-"""Colours that are safe for colour-blind readers (Okabe and Ito), and a grey."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito), and a grey."""
 
 SERIES: tuple[dict[str, Any], ...] = (
     {"color": BLACK, "linestyle": "-", "marker": "o"},
@@ -32,11 +32,11 @@ SERIES: tuple[dict[str, Any], ...] = (
     {"color": GREEN, "linestyle": "-.", "marker": "D"},
     {"color": PINK, "linestyle": (0, (7, 1.5, 1, 1.5, 1, 1.5)), "marker": "v"},
 )
-"""Styles of curves that belong together: each has its own colour, dashes and marker."""
+"""Styles of the curves of one figure: each has its own colour, dashes and marker."""
 
 
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Let a function draw in the style of gbid, without a trace in matplotlib's settings."""
+    """Return a function that draws in the style of gbid; the settings of matplotlib are restored afterwards."""
 
     @wraps(draw)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -54,28 +54,30 @@ def panels(
     size: tuple[float, float],
     **options: Any,
 ) -> tuple[Figure, list[Axes]]:
-    """Take the axes that were given, or make a figure with panels.
+    """Return the axes that were given, or those of a new figure with panels.
 
     Parameters
     ----------
     ax : matplotlib Axes, sequence of them, or None
-        To draw into; None makes a figure.
+        Axes to draw into; None makes a figure.
     rows, columns : int
+        Numbers of rows and columns of panels.
     size : (width, height)
-        Of a new figure [inch].
+        Size of a new figure [inch].
     **options
-        For ``Figure.subplots``.
+        Options of ``Figure.subplots``.
 
     Returns
     -------
     figure : matplotlib.figure.Figure
+        The figure of the axes.
     axes : list of matplotlib Axes
-        By rows.
+        Axes by rows.
 
     Raises
     ------
     UsageError
-        When the axes that were given are too few.
+        When there are too few axes.
     """
     if ax is None:
         figure = Figure(figsize=size, layout="constrained")
@@ -90,13 +92,13 @@ def panels(
 
 
 def series(i: int, **changes: Any) -> dict[str, Any]:
-    """Style of the i-th of several curves; one that is changed to None is left out."""
+    """Return the style of the i-th curve with changes; a property that is changed to None is left out."""
     style = {**SERIES[i % len(SERIES)], **changes}
     return {key: value for key, value in style.items() if value is not None}
 
 
 def letter(axes: Sequence[Axes]) -> None:
-    """Name the panels a), b), ... above their left ends."""
+    """Write the names a), b), ... above the panels."""
     for ax, name in zip(axes, "abcdefghijkl", strict=False):
         ax.set_title(f"{name})", loc="left", pad=4)
 

@@ -1,4 +1,4 @@
-"""Block and flow diagrams of the method: paper, Figs. 3, 4, 6 and 19, drawn anew."""
+"""Block and flow diagrams of the method (paper, Figs. 3, 4, 6 and 19)."""
 
 from __future__ import annotations
 

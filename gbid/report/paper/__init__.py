@@ -1,1 +1,1 @@
-"""The figures and tables of the paper from an experiment's results, and both side by side."""
+"""Figures and tables of the paper from the results of an experiment, and their comparison."""

@@ -1,4 +1,4 @@
-"""The paper's figures as a list that a program can read: `numbers.yaml` beside this file."""
+"""Figures of the paper in a list for programs: `numbers.yaml` beside this file."""
 
 from __future__ import annotations
 
@@ -19,18 +19,21 @@ class PaperNumber:
     Attributes
     ----------
     id : str
+        Identifier.
     where : str
         Section, table or figure.
     quantity, unit : str
+        Quantity and its unit.
     value : float
+        Value in the paper.
     scatter : float or None
-        How far a value may lie off by the paper's own account; None where it does not say.
+        Scatter that the paper gives for it; None when it gives none.
     scatter_from : str
-        Where that is from.
+        Source of the scatter.
     at_most : bool
-        Whether the figure is itself a size of scatter or error, where less is no deviation.
+        Whether the figure is a size of scatter or error; a smaller value is then not a deviation.
     off : str
-        Why ours may lie further off, in words.
+        Explanation of a larger deviation of our value.
     """
 
     id: str
@@ -45,12 +48,12 @@ class PaperNumber:
 
 
 def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
-    """Read the paper's figures.
+    """Return the figures of the paper.
 
     Raises
     ------
     UsageError
-        When the file is broken: a key is unknown, an explanation is not there, an id stands twice.
+        When the file is faulty: a key is unknown, an explanation is missing, or an id occurs twice.
     """
     file = read_yaml(path)
     explanations: Mapping[str, str] = file.data["explanations"]
@@ -65,6 +68,6 @@ def paper_numbers(path: Path = FILE) -> tuple[PaperNumber, ...]:
         except TypeError as error:
             raise UsageError(f"{where}: {error}") from None
         if number.id in found:
-            raise UsageError(f"{where}: id {number.id!r} is there twice; remove one")
+            raise UsageError(f"{where}: id {number.id!r} occurs twice; remove one")
         found[number.id] = number
     return tuple(found.values())

@@ -1,4 +1,4 @@
-"""Stage that writes the paper's figures and tables, and the table of both side by side, from the results."""
+"""Files of the figures and tables of the paper, and of the comparison with it, from the results."""
 
 from __future__ import annotations
 
@@ -30,18 +30,19 @@ from gbid.tables.table import Table, plain_table
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")
 PAST = ("designs", "designs_impacts")
-"""Tables of what the paper has no figures for."""
+"""Tables without counterpart in the paper."""
 REPRODUCTION = "reproduction"
 _SOURCES = ("static", "fits", "crossval", "nominal", "lpv", "impacts", "controller")
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A figure or table that could not be made.
+    """Figure or table that could not be made.
 
     Attributes
     ----------
     item, why : str
+        Its name, and the reason.
     """
 
     item: str
@@ -53,15 +54,15 @@ def write_paper(job: Job) -> tuple[list[Outcome], list[LeftOut]]:
 
     Returns
     -------
-    list of Outcome
-        What was written or kept.
-    list of LeftOut
-        What the results do not allow, and why.
+    outcomes : list of Outcome
+        Outcomes of the files.
+    left_out : list of LeftOut
+        Figures and tables that the results do not allow, with the reason.
 
     Raises
     ------
     UsageError
-        When a file made from other results is there and may not be replaced.
+        When a file made from other results exists and must not be replaced.
     """
     results, sources = Results(job), _sources(job)
     outcomes: list[Outcome] = []
@@ -106,7 +107,7 @@ def write_reproduction(job: Job) -> tuple[list[Outcome], dict[str, Any]]:
 
 
 def past_the_paper(results: Results) -> list[Table]:
-    """Tables of what the paper has no figures for, as far as the results allow: tuned designs, on paper and hit."""
+    """Return tables without counterpart in the paper, if the results allow them: tuned designs and their impacts."""
     found = []
     for name in PAST:
         with suppress(DataError):
@@ -115,7 +116,7 @@ def past_the_paper(results: Results) -> list[Table]:
 
 
 def reproduction_document(rows: list[ReproductionRow], past: Sequence[Table] = ()) -> dict[str, Any]:
-    """All rows as plain values, how many have which verdict, and tables of what the paper has no figures for."""
+    """Return all rows as plain values, the number of rows by verdict, and tables without counterpart in the paper."""
     return {
         "counts": dict(counts(rows)),
         "rows": [row.document() for row in rows],
@@ -130,7 +131,7 @@ def _as_table(rows: list[ReproductionRow]) -> Table:
 
 
 def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcome], left_out: list[LeftOut]) -> None:
-    """Make one item; what its results do not allow is noted."""
+    """Make one item; when its results do not allow it, note the reason."""
     try:
         made = make()
     except DataError as error:
@@ -166,7 +167,7 @@ def _table(
 
 
 def _drawn(named: NamedFigure, results: Results) -> Figure:
-    """Draw a figure; results that do not allow it are bad data, whatever the reason."""
+    """Return a figure; results that do not allow it count as bad data, for any reason."""
     try:
         return named.make(results)
     except UsageError as error:
@@ -174,7 +175,7 @@ def _drawn(named: NamedFigure, results: Results) -> Figure:
 
 
 def _sources(job: Job) -> list[str]:
-    """Content keys of all results that figures and tables are made from."""
+    """Return the content keys of all results behind figures and tables."""
     folder = job.experiment.results
     files = sorted(
         path for name in _SOURCES for path in (folder / name).rglob("*") if path.suffix in (".h5", ".yaml", ".csv")

@@ -1,4 +1,4 @@
-"""The paper's tables from an experiment's results, as rows: csv for programs, Markdown for reports."""
+"""Tables of the paper from the results of an experiment: CSV for programs, Markdown for reports."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _PER = ("", "/bar", "/rpm", "/(bar rpm)", "/bar^2", "/rpm^2")
 
 
 def machine_table(results: Results) -> Table:
-    """Give the dimensions of the machine (Table 1), as its model file gives them."""
+    """Return the dimensions of the machine (Table 1) from its model file."""
     if not results.machine.rig:
         raise DataError(f"the model file of {results.machine.name!r} gives no dimensions of the machine")
     rows = [(name.replace("_", " "), q.value, q.unit, q.source) for name, q in results.machine.rig.items()]
@@ -30,7 +30,7 @@ def machine_table(results: Results) -> Table:
 
 
 def actuator_table(results: Results) -> Table:
-    """Put the nominal actuators (Table 2) beside those of the machine's model file."""
+    """Return the nominal actuators (Table 2), with those of the machine's model file."""
     nominal = results.nominal
     known = _published(results)
     rows = [
@@ -42,17 +42,17 @@ def actuator_table(results: Results) -> Table:
 
 
 def frequency_table(results: Results) -> Table:
-    """Give expected and obtained natural frequencies (Table 3)."""
+    """Return expected and identified natural frequencies (Table 3)."""
     return _mode_table(results, "Table 3: natural frequencies [Hz]", "omega", 0)
 
 
 def damping_table(results: Results) -> Table:
-    """Give expected and obtained damping factors (Table 4)."""
+    """Return expected and identified damping factors (Table 4)."""
     return _mode_table(results, "Table 4: damping factors", "zeta", 1)
 
 
 def controller_table(results: Results) -> Table:
-    """Give the controllers of the piezos (Table A.5), as the machine's model file gives them."""
+    """Return the controllers of the piezos (Table A.5) from the machine's model file."""
     found = results.machine.piezo_controllers
     if found is None:
         raise DataError(f"the model file of {results.machine.name!r} gives no controllers of the piezos")
@@ -62,7 +62,7 @@ def controller_table(results: Results) -> Table:
 
 
 def coefficient_table(results: Results) -> Table:
-    """Put the coefficients of the surfaces (Table B.6) beside those of the machine's model file."""
+    """Return the coefficients of the surfaces (Table B.6), with those of the machine's model file."""
     fit = results.surface_fit
     std = np.sqrt(np.diag(fit.covariance)).reshape(len(KEY_PARAMETERS), len(TERMS))
     known = results.machine.coefficients if results.experiment.spec.rig is not None else {}
@@ -76,7 +76,7 @@ def coefficient_table(results: Results) -> Table:
 
 
 def designs_table(results: Results) -> Table:
-    """Put the tuned designs beside the published one, each at its worst operating point."""
+    """Return the tuned designs and the published one, each at its worst operating point."""
     performances = design_performances(results.tuned)
     first = next(iter(results.tuned.values()))
     title = f"Designs at the worst of {len(performances[0].points)} operating points"
@@ -84,7 +84,7 @@ def designs_table(results: Results) -> Table:
 
 
 def impacts_table(results: Results) -> Table:
-    """Give what the same impact does in each loop, measured and simulated."""
+    """Return measured and simulated responses to the same impact in each loop."""
     shown = (("disc", "um", "peak", "m", 1e6), ("over", "ms", "decay", "s", 1e3), ("piezo", "um", "piezo", "m", 1e6))
     heads = [Column(f"{what}{word}", unit, 4) for what, unit, *_ in shown for word in ("", " std", " simulated")]
     rows: list[tuple[Entry, ...]] = []
@@ -132,7 +132,7 @@ def _published(results: Results) -> dict[str, float]:
 
 
 def _columns(*names: str) -> list[Column]:
-    """Columns of texts, and of numbers with four digits."""
+    """Return columns of texts, and of numbers with four digits."""
     return [Column(name, format=4 if name in ("value", "std", "published") else "") for name in names]
 
 
@@ -146,4 +146,4 @@ TABLES: dict[str, Callable[[Results], Table]] = {
     "designs": designs_table,
     "designs_impacts": impacts_table,
 }
-"""Tables by name. Each raises `DataError` when its results are not there."""
+"""Tables by name. Each raises `DataError` when its results are missing."""

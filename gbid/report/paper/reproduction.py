@@ -1,4 +1,4 @@
-"""The paper's figures beside ours, row by row, with the deviation, and why where it is large."""
+"""Comparison with the paper, row by row: its figures, ours, the deviation, and the reason of a large one."""
 
 from __future__ import annotations
 
@@ -20,24 +20,26 @@ from gbid.structure import KEY_PARAMETERS
 
 Verdict = Literal["within", "explained", "off", "missing"]
 Own = tuple[float, float]
-"""A value and its standard deviation, nan where there is none."""
+"""Value and its standard deviation, nan without one."""
 _SCALE = {"um": 1e6, "ms": 1e3}
 _PAIRS = ("xx", "xy", "yx", "yy")
 
 
 @dataclass(frozen=True)
 class ReproductionRow:
-    """One figure of the paper and ours.
+    """Comparison of one figure of the paper with ours.
 
     Attributes
     ----------
     number : PaperNumber
+        Figure of the paper.
     ours, std : float
-        nan where there is none.
+        Our value and its standard deviation; nan without one.
     verdict : {"within", "explained", "off", "missing"}
-        Within the paper's own scatter; further off but explained, or not; not there.
+        ``within``: the deviation is within the scatter of the paper. ``explained`` and ``off``: it is larger, with or
+        without explanation. ``missing``: there is no value of ours.
     why : str
-        The explanation, or what is missing.
+        Explanation, or what is missing.
     """
 
     number: PaperNumber
@@ -48,11 +50,11 @@ class ReproductionRow:
 
     @property
     def deviation(self) -> float:
-        """Ours less the paper's."""
+        """Our value minus that of the paper."""
         return self.ours - self.number.value
 
     def document(self) -> dict[str, Any]:
-        """Return plain values; None where there is none."""
+        """Return plain values; None for missing ones."""
         n = self.number
         return {
             "id": n.id,
@@ -73,17 +75,17 @@ class ReproductionRow:
 
 
 def reproduction(results: Results) -> list[ReproductionRow]:
-    """Put the paper's figures beside those of an experiment.
+    """Return the comparison of an experiment with the paper.
 
     Parameters
     ----------
     results : Results
-        Of the paper's machine.
+        Results for the machine of the paper.
 
     Returns
     -------
     list of ReproductionRow
-        In the order of the paper.
+        Rows in the order of the paper.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def reproduction(results: Results) -> list[ReproductionRow]:
 
 
 def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRow:
-    """Say whether a value lies within the paper's scatter, by twice its own standard deviation at most beyond it."""
+    """Return the row of a value; its verdict allows the scatter of the paper plus up to two own standard deviations."""
     if not isfinite(ours):
         return ReproductionRow(number, ours, std, "missing", "not a finite number")
     over = ours - number.value if number.at_most else abs(ours - number.value)
@@ -117,7 +119,7 @@ def judged(number: PaperNumber, ours: float, std: float = nan) -> ReproductionRo
 
 
 def _values() -> Iterator[tuple[str, Callable[[Results], Own]]]:
-    """For each id the function that gives our value in SI (percents as such)."""
+    """Yield for each id the function that returns our value in SI units (percents as such)."""
     for k, pair in enumerate(_PAIRS):
         yield f"static_rms_{pair}", partial(_static_rms, k)
     yield "static_largest", _static_largest
@@ -161,7 +163,7 @@ def _static_largest(results: Results) -> Own:
 
 
 def _models(results: Results) -> Own:
-    """Count the recordings whose fit stands behind the surfaces."""
+    """Return the number of recordings whose fits determine the surfaces."""
     return float(len(results.surface_fit.estimates.recordings)), nan
 
 
@@ -183,7 +185,7 @@ def _largest_gain(results: Results) -> Own:
 
 
 def _off_published(j: int, results: Results) -> Own:
-    """Rms over the operating points of a characteristic of our surfaces less that of the published ones."""
+    """Return the rms over the operating points of a characteristic of our surfaces minus that of the published ones."""
     points = np.array(results.machine.operating_points, float)
     ours, published = (
         characteristics(np.column_stack([np.broadcast_to(p[key], len(points)) for key in KEY_PARAMETERS]))
@@ -205,12 +207,12 @@ def _obtained(loop: str, i: int, what: str, results: Results) -> Own:
 
 
 def _damping_factor(i: int, results: Results) -> Own:
-    """How many times the controller makes a damping factor larger."""
+    """Return the factor by which the controller increases a damping factor."""
     return _expected("closed", i, 1, results)[0] / _expected("open", i, 1, results)[0], nan
 
 
 def _published_mode(loop: str, i: int, j: int, results: Results) -> Own:
-    """Frequency or damping factor of a mode of the published model, with the published controller or without."""
+    """Return frequency or damping factor of a mode of the published model, with or without its controller."""
     plant = results.machine.plant_at(*POINT)
     return (close_loop(plant, published_controller(results.machine)) if loop == "closed" else plant).modes()[i][j], nan
 
@@ -220,7 +222,7 @@ def _published_factor(i: int, results: Results) -> Own:
 
 
 def _retuned(results: Results) -> GainResult:
-    """Tune the gains of the published model at the paper's point, under the peak of S_o that its own gains have."""
+    """Return gains tuned on the published model at the point of the paper, with the peak of S_o of its own gains."""
     machine = results.machine
     cap = sensitivities(machine.plant_at(*POINT), published_controller(machine)).peak("output").value
     return tune(machine, operating_points=[POINT], peak_sensitivity=cap)
@@ -238,7 +240,7 @@ def _hysteresis(results: Results) -> Own:
 
 
 def counts(rows: list[ReproductionRow]) -> Mapping[str, int]:
-    """How many rows have each verdict."""
+    """Return the number of rows by verdict."""
     return {
         verdict: sum(row.verdict == verdict for row in rows) for verdict in ("within", "explained", "off", "missing")
     }

@@ -1,4 +1,4 @@
-"""Smallest damping factor over pressure and speed."""
+"""Damping map: smallest damping factor over pressure and speed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the poles are: eigenvalue map and root locus over the gain."""
+"""Poles: eigenvalue map, and root locus over a factor on the gains."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Eigenvalues:
-    """Poles of models that are compared.
+    """Poles of several models.
 
     Attributes
     ----------
     poles : dict of str to (n,) complex array
-        By label [rad/s].
+        Poles by label [rad/s].
     title : str
+        Title of the figure.
     """
 
     poles: Mapping[str, ComplexArray]
@@ -42,16 +43,19 @@ class Eigenvalues:
 
 
 def eigenvalues_data(models: Mapping[str, LinearModel], title: str = "") -> Eigenvalues:
-    """Collect the poles of models.
+    """Return the poles of models.
 
     Parameters
     ----------
     models : dict of str to LinearModel
+        Models by label.
     title : str
+        Title of the figure.
 
     Returns
     -------
     Eigenvalues
+        Poles by label.
     """
     return Eigenvalues({label: model.poles() for label, model in models.items()}, title)
 
@@ -85,16 +89,18 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
 
 @dataclass(frozen=True, eq=False)
 class RootLocus:
-    """Poles of the loop over a factor on the controller.
+    """Poles of a closed loop over a factor on the controller.
 
     Attributes
     ----------
     factor : (n,) array
+        Factors.
     poles : (n, n_poles) complex array
-        [rad/s]
+        Poles for each factor [rad/s].
     label : str
-        What the factor is, for the colour bar.
+        Meaning of the factor, for the colour bar.
     title : str
+        Title of the figure.
     """
 
     factor: FloatArray
@@ -134,20 +140,21 @@ def root_locus_data(
 
 @styled
 def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Figure:
-    """Draw how the poles move in the upper half plane; circles where they begin, squares where they end.
+    """Draw the path of the poles in the upper half plane, from circles to squares.
 
     Parameters
     ----------
     data : RootLocus
-        From `root_locus_data`.
+        Data of `root_locus_data`.
     ax : matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
     largest_hz : float
-        Poles further away from zero are not shown.
+        Largest distance from zero of the poles shown [Hz].
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, (panel, *_) = panels(ax, size=(5.2, 3.6))
     poles = _hertz(data.poles)
@@ -173,7 +180,7 @@ def _hertz(poles: ComplexArray) -> ComplexArray:
 
 
 def _finish_plane(ax: Any, largest_hz: float) -> None:
-    """Rays of equal damping, labels with units, the stability limit."""
+    """Draw rays of equal damping, labels with units, and the limit of stability."""
     ax.axvline(0.0, color=BLACK, linewidth=0.9)
     left, right = ax.get_xlim()
     left = min(left, -0.05 * largest_hz)

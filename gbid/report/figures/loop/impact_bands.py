@@ -1,4 +1,4 @@
-"""The same impact in several loops: means over the impacts with their spread, along x and along y."""
+"""Impact responses of several loops: mean and standard deviation over the impacts, along x and along y."""
 
 from __future__ import annotations
 
@@ -39,11 +39,12 @@ class ImpactLoops:
     Attributes
     ----------
     time : (n,) array
-        From the impact [s].
+        Time from the impact [s].
     mean, spread : dict of str to (n, 2) array
-        By loop: position along the impact [m], mean and standard deviation. The first column is x after
-        impacts along x, the second y after impacts along y; nan where nothing hit along an axis.
+        Mean and standard deviation of the position along the impact [m], by loop. The first column is x after impacts
+        along x, the second y after impacts along y; nan for an axis without impacts.
     title : str
+        Title of the figure.
     """
 
     time: FloatArray

@@ -1,4 +1,4 @@
-"""Responses of the disc to an impact, with the force that caused them: paper, Figs. 22 to 27."""
+"""Responses of the disc to an impact, with the force (paper, Figs. 22 to 27)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 _MICROMETRES = 1e6
-_BEFORE = 25  # samples shown before an impact
+_BEFORE = 25  # number of samples shown before an impact
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,12 +165,12 @@ def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> Impac
 
 
 def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
-    """Return the recording of a study that was hit along an axis.
+    """Return the validation of the recording with impacts along an axis.
 
     Raises
     ------
     UsageError
-        When there is none.
+        When the study has none.
     """
     for validation in study.validations:
         if validation.axis == axis:
@@ -180,7 +180,7 @@ def validation_along(study: ImpactStudy, axis: str) -> ImpactValidation:
 
 
 def _until_next(validation: ImpactValidation) -> int:
-    """Sample at which the second impact begins, or the end."""
+    """Return the sample at which the second impact begins, or the end."""
     return validation.windows[1][0] if len(validation.windows) > 1 else len(validation.time)
 
 

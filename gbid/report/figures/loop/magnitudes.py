@@ -1,4 +1,4 @@
-"""Magnitudes over frequency: sensitivities and Bode magnitudes of the loop. Paper, Figs. 20 and 21."""
+"""Magnitudes over frequency: sensitivities and Bode magnitudes of the loop (paper, Figs. 20 and 21)."""
 
 from __future__ import annotations
 
@@ -146,7 +146,7 @@ def _loop(
     curves: Callable[[SensitivityData, str], MagnitudeCurves],
     results: Results,
 ) -> MagnitudeCurves:
-    """Curves of the identified model in the loop with the published controller."""
+    """Return curves of the identified model in the loop with the published controller."""
     point = shown_point(results.identified)
     plant, d = results.identified.plant_at(*point), published_gains(results.machine)
     gains = f"$\\kappa_x$ = {d.kappa_x:g}, $\\kappa_y$ = {d.kappa_y:g} m/m, low-pass {d.lowpass_hz:g} Hz"

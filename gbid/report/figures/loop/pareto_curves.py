@@ -1,4 +1,4 @@
-"""Pareto front of robustness and damping: what each costs in the other."""
+"""Pareto front of robustness and damping."""
 
 from __future__ import annotations
 
