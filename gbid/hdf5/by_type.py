@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import fields, is_dataclass, replace
 from enum import Enum
@@ -122,7 +123,7 @@ class _ArrayCodec(NamedTuple):
 
 def _leaf(hint: Any, stored: Stored | None) -> Leaf | None:
     if hint == _LINES:
-        found: _ArrayCodec | None = _ArrayCodec("U", _split, ("*",), lambda lines: ["\n".join(line) for line in lines])
+        found: _ArrayCodec | None = _ArrayCodec("U", _split, ("*",), lambda texts: list(map(_lines, texts)))
     else:
         found = _values(hint)
     if found is None:
@@ -181,5 +182,14 @@ def _text_array(texts: Any) -> Any:
     return np.array(list(texts), dtype=str)
 
 
+def _lines(texts: tuple[str, ...]) -> str:
+    """Write texts one a line; a line break within a text becomes two characters, as in many languages."""
+    return "\n".join(text.replace("\\", "\\\\").replace("\n", "\\n") for text in texts)
+
+
 def _split(texts: Any) -> tuple[tuple[str, ...], ...]:
-    return tuple(tuple(text.split("\n")) if text else () for text in texts)
+    return tuple(tuple(map(_one_text, text.split("\n"))) if text else () for text in texts)
+
+
+def _one_text(line: str) -> str:
+    return re.sub(r"\\([\\n])", lambda found: "\n" if found[1] == "n" else "\\", line)

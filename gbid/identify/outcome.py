@@ -19,7 +19,7 @@ from gbid.identify.result import FitResult
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
-from gbid.identify.uncertainty.whiteness import correlation_length, whiteness_test
+from gbid.identify.uncertainty.whiteness import whiteness_and_memory, whiteness_test
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
@@ -68,7 +68,7 @@ def outcome(
     initial_known = options.initial_state != "estimated"
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    white, memory = whiteness_test(by_record), correlation_length(by_record) if finite else 1
+    white, memory = whiteness_and_memory(by_record) if finite else (whiteness_test(by_record), 1)
     trusted: Literal["white", "robust"] = (
         "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
     )

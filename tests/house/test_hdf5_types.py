@@ -18,7 +18,7 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
 from gbid.control import load_impacts, save_impacts
 from gbid.errors import DataError
-from gbid.hdf5 import NOT_STORED, Stored
+from gbid.hdf5 import NOT_STORED, Stored, by_type
 from gbid.identify import load_table, save_table
 from gbid.prefilter import load_prefilter, save_prefilter
 from gbid.recording import load_recording, save_recording
@@ -362,3 +362,10 @@ def test_a_file_that_was_tampered_with_is_refused_in_one_line(store, tmp_path):
             assert "\n" not in text, text
             tried += 1
     assert tried > 20
+
+
+@given(st.lists(st.lists(st.text(st.sampled_from("ab\\n\n \"'"), min_size=1), min_size=1), min_size=1))
+def test_lists_of_texts_keep_line_breaks_and_backslashes(texts: list[list[str]]) -> None:
+    """Several texts share one entry, one a line; a text with a line break must come back as one text."""
+    value = tuple(map(tuple, texts))
+    assert by_type._split(list(map(by_type._lines, value))) == value

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 
 from gbid.identify import correlation, fit, whiteness_test
-from gbid.identify.uncertainty.whiteness import correlation_length
+from gbid.identify.uncertainty.whiteness import whiteness_and_memory
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
 
@@ -210,7 +210,7 @@ def test_correlation_of_nothing_is_nothing():
 @pytest.mark.parametrize("n", [3000, 12000])
 def test_the_memory_of_noise_is_found_and_no_more(rho, low, high, n):
     """Estimated correlations of coloured noise wander: they must not be taken for a long memory."""
-    found = [correlation_length([coloured(n, rho, seed)[:, None] + 7.0]) for seed in range(10)]
+    found = [whiteness_and_memory([coloured(n, rho, seed)[:, None] + 7.0])[1] for seed in range(10)]
     assert low <= min(found)
     assert max(found) <= high
 

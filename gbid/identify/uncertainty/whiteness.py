@@ -10,6 +10,9 @@ from scipy.special import chdtrc
 
 from gbid.arrays import FloatArray
 
+LAGS = 25
+"""Number of lags of the test."""
+_LONGEST = 2000  # largest correlation length that is looked for
 _FEW = 64  # largest number of lags for which products are faster than transforms
 
 
@@ -61,7 +64,14 @@ def correlation(first: FloatArray, second: FloatArray, lags: int) -> FloatArray:
     return np.asarray(product / scale) if scale > 0 else np.zeros(lags + 1)
 
 
-def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
+class _Autocorrelation(NamedTuple):
+    """Autocorrelation of the residuals of one record about their means."""
+
+    n_samples: int
+    rho: FloatArray  # (n_y, lags), from lag 1
+
+
+def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     """Return the whiteness test of the residuals of one or several records.
 
     Parameters
@@ -76,41 +86,50 @@ def whiteness_test(errors: list[FloatArray], lags: int = 25) -> Whiteness:
     Whiteness
         Statistic and p-value of each output.
     """
-    n_y = errors[0].shape[1]
-    statistic = np.zeros(n_y)
-    records = [e - e.mean(0) for e in errors if len(e) > 2 * lags]
-    for e in records:
-        n = len(e)
-        for j in range(n_y):
-            channel = e[:, j]
-            rho = correlation(channel, channel, lags)[1:]
-            statistic[j] += n * (n + 2) * float((rho**2 / (n - np.arange(1, lags + 1))).sum())
-    freedom = lags * max(1, len(records))
-    return Whiteness(statistic, np.asarray(chdtrc(freedom, statistic)), lags)
+    return _portmanteau([_autocorrelation(record, lags) for record in errors], lags)
 
 
-def correlation_length(errors: list[FloatArray]) -> int:
-    """Return the correlation length of residuals in samples: the lag beyond which the autocorrelation is insignificant.
+def whiteness_and_memory(errors: list[FloatArray]) -> tuple[Whiteness, int]:
+    """Return the whiteness test of residuals, and their correlation length in samples.
 
-    The confidence band is that of Bartlett, which widens with the correlation at smaller lags. Estimated
-    autocorrelations of coloured residuals are coloured themselves, and leave the band of white residuals.
+    Both come from one autocorrelation. The correlation length is the lag beyond which the autocorrelation is
+    insignificant, at least 1. The confidence band is that of Bartlett, which widens with the correlation at smaller
+    lags. Estimated autocorrelations of coloured residuals are coloured themselves, and leave the band of white residuals.
+
+    Parameters
+    ----------
+    errors : list of (n_samples, n_y) array
+        Residuals of each record, finite.
     """
-    longest = 1
-    for e in (record - record.mean(0) for record in errors):
-        n = len(e)
-        most = min(n // 10, 2000)
-        if most < 2:
-            continue
-        for j in range(e.shape[1]):
-            channel = e[:, j]
-            rho = correlation(channel, channel, most)[1:]
-            variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
-            # Smoothed over a few lags: of thousands of lags one leaves its band by chance.
-            outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1
-            reach = 0
-            for lag in outside:
-                if lag > 2 * reach + 50:  # inside the band for longer than before: later excursions are chance
-                    break
-                reach = int(lag)
-            longest = max(longest, reach)
-    return longest
+    found = [_autocorrelation(record, max(LAGS, min(len(record) // 10, _LONGEST))) for record in errors]
+    return _portmanteau(found, LAGS), max([1, *(_reach(n, rho) for n, record in found for rho in record)])
+
+
+def _autocorrelation(errors: FloatArray, lags: int) -> _Autocorrelation:
+    centred = errors - errors.mean(0)
+    return _Autocorrelation(len(errors), np.array([correlation(channel, channel, lags)[1:] for channel in centred.T]))
+
+
+def _portmanteau(records: list[_Autocorrelation], lags: int) -> Whiteness:
+    """Sum up the statistic of Ljung and Box over the records that are long enough."""
+    used = [(n, rho[:, :lags]) for n, rho in records if n > 2 * lags]
+    statistic = np.zeros(len(records[0].rho))
+    for n, rho in used:
+        statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
+    return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)
+
+
+def _reach(n: int, rho: FloatArray) -> int:
+    """Return the lag beyond which an autocorrelation stays inside its band; 0 when it never leaves it."""
+    rho = rho[: min(n // 10, _LONGEST)]
+    if len(rho) < 2:
+        return 0
+    variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
+    # Smoothed over a few lags: of thousands of lags one leaves its band by chance.
+    outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1
+    reach = 0
+    for lag in outside:
+        if lag > 2 * reach + 50:  # inside the band for longer than before: later excursions are chance
+            break
+        reach = int(lag)
+    return reach

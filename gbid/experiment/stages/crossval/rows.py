@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,7 +111,7 @@ def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
                 row["unit"],
                 p,
                 None if p is None else p >= _LEVEL / n_outputs,
-                tuple(row["residuals_follow"].split()),
+                tuple(shlex.split(row["residuals_follow"])),
                 minimum,
             )
         )
@@ -118,4 +119,4 @@ def read_rows(job: Job, name: str, path: Path) -> list[CrossvalRow]:
 
 
 def _value(value: Any) -> Value:
-    return " ".join(value) if isinstance(value, tuple) else value
+    return shlex.join(value) if isinstance(value, tuple) else value

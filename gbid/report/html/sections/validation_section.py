@@ -102,7 +102,7 @@ def _validated(
                 row.fit_percent,
                 formatted(row.infinity_norm, ".3g", row.unit),
                 {None: "not tested", True: "white", False: "not white"}[row.residuals_white]
-                + (f", follow {' '.join(row.residuals_follow)}" if row.residuals_follow else ""),
+                + (f", follow {', '.join(row.residuals_follow)}" if row.residuals_follow else ""),
             )
             for row in worst
         ],
