@@ -162,7 +162,7 @@ def fit(
         def run(begin: FloatArray) -> Solution:
             return solve(problem, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
 
-        solution, told = lowest_of_several(problem, run(first), (lower, upper), run)
+        solution, more = lowest_of_several(problem, run(first), (lower, upper), run)
         options = FitOptions(
             inputs=in_names,
             outputs=out_names,
@@ -177,7 +177,7 @@ def fit(
             engine=assembly.engine,
         )
         result = outcome(structure, used, data, assembly, problem, solution, full, origin, options)
-        return replace(result, notes=(*result.notes, *told))
+        return replace(result, notes=(*result.notes, *more))
 
     # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -43,7 +43,7 @@ def own_gradients(
     starts, ends : (n_windows, n) array
         Of the windows, and multipliers of where these end.
     weight : (n_y, n_y) array
-        Of the errors; it is held, so that parts do not depend on each other.
+        Weight of the errors; it is constant, so that parts do not depend on each other.
 
     Returns
     -------

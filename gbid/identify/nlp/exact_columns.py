@@ -56,7 +56,7 @@ def exact_columns(
         For each part its share in the second derivatives of the cost by the parameters at its `index`, roughly: steps
         are chosen by their sum.
     weight : (n_y, n_y) array
-        Of the errors; it is held, so that parts do not depend on each other.
+        Weight of the errors; it is constant, so that parts do not depend on each other.
     wanted : sequence of sequence of int, optional
         For each part which of its own parameters; all when not given. Columns of others are zero.
 

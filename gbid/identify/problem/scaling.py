@@ -80,7 +80,7 @@ def build_problem(
 
 
 def unknown_bounds(problem: Shooting, assembly: Assembly, initial_state: InitialState) -> tuple[FloatArray, FloatArray]:
-    """Bounds of all unknowns, scaled; given initial states are held.
+    """Return the scaled bounds of all unknowns; given initial states are fixed.
 
     Raises
     ------

@@ -38,8 +38,8 @@ def summary_lines(document: Row) -> Iterator[Line]:
     if document["multi_start"]:
         yield "starts", starts_line(document["multi_start"])
     condition = "" if document["condition"] is None else f", condition {document['condition']:.1g}"
-    told = f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s{condition}"
-    yield "solver", told
+    text = f"{document['status']}; {document['iterations']} iterations, {document['wall_time_s']:.2f} s{condition}"
+    yield "solver", text
     yield from (("note", note) for note in document["notes"])
     far = [row for row in document["parameters"] if abs(row["deviation_std"] or 0.0) > _FAR]
     if far:
@@ -65,13 +65,13 @@ def start_line(document: Row) -> str:
     """Return the numbers of start values by origin; those of the user are listed by name."""
     rows = [row for row in document["parameters"] if not row["fixed"]]
     words = {"data": "from the data", "structure": "from the structure", "user": "given"}
-    told = []
+    parts = []
     for origin, word in words.items():
         names = [row["parameter"] for row in rows if row["start_origin"] == origin]
         if names:
             listed = f" ({', '.join(names)})" if origin == "user" or len(names) <= 4 else ""
-            told.append(f"{len(names)} {word}{listed}")
-    return ", ".join(told)
+            parts.append(f"{len(names)} {word}{listed}")
+    return ", ".join(parts)
 
 
 def starts_line(row: Row) -> str:

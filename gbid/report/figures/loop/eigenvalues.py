@@ -186,18 +186,18 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
     left = min(left, -0.05 * largest_hz)
     right = max(right, 0.02 * largest_hz)
     top = min(1.05 * largest_hz, 1.15 * ax.get_ylim()[1])
-    told = 0.0
+    written = 0.0
     for zeta in (0.7, 0.4, 0.2, 0.1, 0.05, 0.02):
         slope = np.sqrt(1 - zeta**2) / zeta
         reach = min(-left, top / slope)
         ax.plot([0, -reach], [0, reach * slope], color=GREY, linewidth=0.6, linestyle=(0, (4, 3)), zorder=0)
         at_edge = reach < top / slope
-        if at_edge or not told or told - reach > 0.07 * (right - left):  # else the numbers would overlap
+        if at_edge or not written or written - reach > 0.07 * (right - left):  # else the numbers would overlap
             look: dict[str, Any] = {"ha": "left", "va": "top"} if at_edge else {"ha": "center", "va": "bottom"}
             shift = (2, -3) if at_edge else (0, 1)
             word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}
             ax.annotate(f"{zeta:g}", (-reach, reach * slope), **word, **look)
-            told = told if at_edge else reach
+            written = written if at_edge else reach
     ax.set_xlim(left, right)
     ax.set_ylim(-0.02 * top, top)
     ax.set_xlabel("real part / 2π [Hz]; dashed: equal damping factor")

@@ -164,10 +164,10 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     for k, staircase in enumerate(data):
         rising = staircase.plateaus()[2]
         color = (BLACK, RED)[k] if k < 2 else series(k)["color"]
-        told: set[bool] = set()
+        labelled: set[bool] = set()
         for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
-            word = None if bool(up) in told else f"{staircase.label}, {'up' if up else 'down'}"
-            told.add(bool(up))
+            word = None if bool(up) in labelled else f"{staircase.label}, {'up' if up else 'down'}"
+            labelled.add(bool(up))
             style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
             axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)  # type: ignore[arg-type]
         axes[1].plot(staircase.time, 1e6 * staircase.position, color=color)

@@ -89,12 +89,12 @@ def _drawn(item: str, fit: LPVFit, pictures: Pictures, published: bool) -> list[
     )
     blocks.append(Fold(f"{item}: coefficients", [table]))
     if fit.outliers:
-        told = [
+        listed = [
             f"{o.recording}: {o.parameter} by {o.standardised:+.1f} robust standard deviations" for o in fit.outliers
         ]
         blocks += [
-            Words(f"Far off a surface lie {len(told)} of the estimates:", "warn"),
-            Fold("Outliers", [Listed(told)]),
+            Words(f"Far off a surface lie {len(listed)} of the estimates:", "warn"),
+            Fold("Outliers", [Listed(listed)]),
         ]
     notes = [*fit.notes, *(f"left out: {text}" for text in fit.estimates.left_out)]
     if notes:

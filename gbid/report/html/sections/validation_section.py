@@ -75,9 +75,9 @@ def _validated(
         )
         blocks.append(Words(words))
     if summary.n_pairs >= _HISTOGRAM:
-        told = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
+        means = "; ".join(f"{o} {m:.2f} %" for o, m in zip(summary.output_names, summary.mean, strict=True))
         picture = pictures.picture(
-            plot_fit_histogram(crossval_data(summary)), f"{name}: histograms of the cross-validation fit, means {told}"
+            plot_fit_histogram(crossval_data(summary)), f"{name}: histograms of the cross-validation fit, means {means}"
         )
         blocks.append(Shown(picture))
     missed = [row for row in rows if row.missed]
