@@ -94,7 +94,8 @@ def whiteness_and_memory(errors: list[FloatArray]) -> tuple[Whiteness, int]:
 
     Both come from one autocorrelation. The correlation length is the lag beyond which the autocorrelation is
     insignificant, at least 1. The confidence band is that of Bartlett, which widens with the correlation at smaller
-    lags. Estimated autocorrelations of coloured residuals are coloured themselves, and leave the band of white residuals.
+    lags. Estimated autocorrelations of coloured residuals are coloured themselves, and leave the band of white
+    residuals.
 
     Parameters
     ----------
