@@ -20,7 +20,7 @@ class SignalMapping:
     columns : tuple of str
         Columns in the order of the channels, one for each channel. In a csv file these are names in the header line.
         In an npz or mat file they are variables (``"u_x"``) or columns of an (n_samples, n_channels) array
-        (``"noise[0]"``, counted from 0). Fields of a MATLAB struct are named with dots (``"data.u[0]"``).
+        (``"noise[0]"``, counted from 0). Fields of a MATLAB struct or object have dotted names (``"data.u[0]"``).
     unit : str, optional
         Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
     stored_unit : str, optional
