@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -31,7 +32,7 @@ class AxisGain(NamedTuple):
 
 
 @dataclass(frozen=True)
-class PerAxis:
+class PerAxis(ABC):
     """Base class of the built-in structures: one filter per axis in series with a low-pass.
 
     A structure gives the gains of an axis (`_axis_gains`) and the filter that they make (`_filter`); the rest is here.
@@ -63,13 +64,13 @@ class PerAxis:
                 f"controller {self.name!r}: lowpass_hz = {self.lowpass_hz:g}; to be tuned it must start in 50 to 2500"
             )
 
+    @abstractmethod
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         """Return the gains of an axis."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
         """Return A, B, C, D of one axis for its gains and its low-pass."""
-        raise NotImplementedError
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
