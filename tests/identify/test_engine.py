@@ -245,7 +245,7 @@ def test_groups_of_another_width_are_refused(fresh, cache):
     blocks = cut(pieces_of("every", (100,)), predictor, 20, lanes=4)
     starts = np.zeros((blocks.n_windows, 2))
     sweep(v, blocks, starts, weight, run_with_numpy)
-    with pytest.raises(UsageError, match="wants 8 blocks in a group, not 4"):
+    with pytest.raises(UsageError, match="needs 8 blocks in a group, not 4"):
         sweep(v, blocks, starts, weight, CompiledEngine([v]))
 
 
