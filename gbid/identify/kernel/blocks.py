@@ -1,4 +1,4 @@
-"""Records cut into shooting windows, and windows cut into equal blocks that run in parallel lanes."""
+"""Shooting windows of records, and blocks of equal length that are computed in parallel lanes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from gbid.identify.data import FitData
 from gbid.identify.predictor import Predictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sweep
-LANES = 8  # blocks in one group: doubles in the widest vector register
+LANES = 8  # blocks in one group: number of doubles in the widest vector register
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +23,7 @@ class Segment:
     Attributes
     ----------
     inputs : (n_samples, n_inputs) array
-        Inputs of the whole record: delayed and following inputs reach beyond the part.
+        Inputs of the whole record, because delayed and following inputs are outside the part.
     outputs : (n_samples, n_outputs) array
         Outputs of the whole record.
     counts : (n_samples,) array or None
@@ -45,28 +45,28 @@ class Segment:
 
 @dataclass(frozen=True, eq=False)
 class Blocks:
-    """Segments in blocks of equal length, `lanes` blocks to a group; what is short is padded.
+    """Blocks of equal length with the samples of segments, `lanes` blocks in a group; short blocks are padded.
 
     Attributes
     ----------
     y : (n_groups, length, n_outputs, lanes) array
-        Outputs to be predicted.
+        Outputs to predict.
     used : (n_groups, length, lanes) array
-        1 for a sample that enters the cost, 0 for one left out and for padding.
+        1 for a sample in the cost, 0 for a sample left out and for padding.
     size : (n_groups * lanes,) integer array
-        Samples in each block; `length` but for the last of a segment, 0 for padding.
+        Number of samples in each block: `length`, or fewer in the last block of a segment; 0 for padding.
     per_window : int
-        Blocks in a shooting window; the last window of a segment may have fewer.
+        Number of blocks in a shooting window; the last window of a segment may have fewer.
     window_first, window_size : (n_windows,) integer array
         First block and number of blocks of each window.
     segment_first : (n_segments,) integer array
         First window of each segment.
     n_samples : int
-        Samples that enter the cost.
+        Number of samples in the cost.
     predictor : Predictor
-        That the blocks were cut for.
+        Predictor of these blocks; it defines the regressors.
     segments : tuple of Segment
-        That were cut.
+        Segments in the blocks.
     """
 
     y: FloatArray
@@ -83,12 +83,12 @@ class Blocks:
 
     @property
     def length(self) -> int:
-        """Samples in a block."""
+        """Number of samples in a block."""
         return int(self.y.shape[1])
 
     @property
     def lanes(self) -> int:
-        """Blocks in a group."""
+        """Number of blocks in a group."""
         return int(self.y.shape[3])
 
     @property
@@ -98,23 +98,23 @@ class Blocks:
 
     @property
     def n_blocks(self) -> int:
-        """Number of blocks, padding not counted."""
+        """Number of blocks without padding."""
         return int(self.window_size.sum())
 
     @cached_property
     def by_window(self) -> tuple[IntArray, BoolArray]:
-        """Blocks of each window in order, (n_windows, per_window), and which of these are its own."""
+        """Indices of the blocks of each window, (n_windows, per_window), and a mask of its own blocks."""
         place = np.arange(self.per_window)
         return np.minimum(self.window_first[:, None] + place, self.n_blocks - 1), place < self.window_size[:, None]
 
     @property
     def linked(self) -> IntArray:
-        """Windows whose end must meet the start of the next in the same segment, shape (n_links,)."""
+        """Windows that must end at the start state of the next one in their segment, shape (n_links,)."""
         last = np.append(self.segment_first[1:], self.n_windows) - 1
         return np.setdiff1d(np.arange(self.n_windows), last)
 
     def z(self, shift: tuple[int, ...]) -> FloatArray:
-        """Regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
+        """Return the regressors for the whole-sample parts of the delays, shape (n_groups, length, n_z, lanes)."""
         if shift not in self._regressors:
             if len(self._regressors) > 3:
                 self._regressors.clear()
@@ -123,7 +123,7 @@ class Blocks:
         return self._regressors[shift]
 
     def by_segment(self, values: FloatArray) -> list[FloatArray]:
-        """Put values in blocks, (n_groups, length, n, lanes), back into one (n_samples, n) array per segment."""
+        """Return values of blocks, (n_groups, length, n, lanes), as one (n_samples, n) array for each segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
         result = []
         first_blocks = self.window_first[self.segment_first]
@@ -142,24 +142,26 @@ def cut(
     longest_block: int = LONGEST_BLOCK,
     lanes: int = LANES,
 ) -> Blocks:
-    """Cut segments of records into shooting windows and these into blocks.
+    """Return the shooting windows of segments, cut into blocks.
 
     Parameters
     ----------
     data : FitData or sequence of Segment
+        Records, or parts of them.
     predictor : Predictor
-        Says what the regressors are.
+        Predictor, which defines the regressors.
     window : int or None
-        Samples in a shooting window; None takes each segment as one window. A window longer than a block is
-        rounded up to whole blocks.
+        Number of samples in a shooting window; None makes each segment one window. A window that is longer than a block
+        is rounded up to whole blocks.
     longest_block : int
-        Most samples in a block.
+        Largest number of samples in a block.
     lanes : int
-        Blocks in a group.
+        Number of blocks in a group.
 
     Returns
     -------
     Blocks
+        Blocks in groups, with the windows and segments that they belong to.
     """
     if isinstance(data, FitData):
         data = [Segment(record.inputs, record.outputs) for record in data.records]
@@ -204,7 +206,7 @@ def cut(
 
 
 def _in_groups(parts: Sequence[FloatArray], length: int, lanes: int) -> FloatArray:
-    """Cut (n_samples, n) arrays into blocks and put these into groups: (n_groups, length, n, lanes)."""
+    """Return (n_samples, n) arrays as groups of blocks, (n_groups, length, n, lanes)."""
     n = parts[0].shape[1]
     counts = [-(-len(part) // length) for part in parts]
     n_groups = -(-sum(counts) // lanes)

@@ -1,8 +1,8 @@
-"""Gradient of the Lagrangian alone, by the adjoint: a small part of the work of a pass with sensitivities.
+"""Gradient of the Lagrangian by the adjoint: less work than a pass with sensitivities.
 
-With ``w`` the weighted errors and ``a[k]`` the derivative of the cost by the state at sample k, the adjoint runs
-backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers of the gaps at the end of a window. Derivatives by
-the entries of F, G, C and H are sums of its products with states and regressors.
+``w`` are the weighted errors, and ``a[k]`` is the derivative of the cost by the state at sample k. The adjoint runs
+backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers of the gaps at the end of a window. Derivatives by the
+entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from gbid.identify.predictor import PredictorValues
 
 
 def on_ends(problem: Shooting, lam_gaps: FloatArray) -> FloatArray:
-    """Return the multipliers at the ends of windows, (n_windows, n), in physical units; zero without a next window."""
+    """Return the multipliers at the window ends, (n_windows, n), in physical units; zero without a next window."""
     ends = np.zeros((problem.n_windows, problem.n_states))
     ends[problem.links[:, 0]] = lam_gaps.reshape(-1, problem.n_states) / problem.state_scale
     return ends
@@ -33,22 +33,25 @@ def own_gradients(
     ends: FloatArray,
     weight: FloatArray,
 ) -> list[GroupGradient]:
-    """Derive cost and weighted ends by each predictor's own parameters and the starts of its windows.
+    """Return gradients of cost and weighted window ends, by the parameters of each predictor and its window starts.
 
     Parameters
     ----------
     problem : Shooting
+        Problem of the fit.
     values : list of PredictorValues
-        Of each part.
-    starts, ends : (n_windows, n) array
-        Of the windows, and multipliers of where these end.
+        Predictor of each part.
+    starts : (n_windows, n) array
+        States at the starts of the windows.
+    ends : (n_windows, n) array
+        Multipliers at the ends of the windows.
     weight : (n_y, n_y) array
-        Weight of the errors; it is constant, so that parts do not depend on each other.
+        Constant weight of the errors; with it, parts do not depend on each other.
 
     Returns
     -------
     list of GroupGradient
-        In physical units, without the prior; not finite where the errors overflow.
+        Gradients of each part in physical units, without the prior; not finite when the errors overflow.
     """
     windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
     found = []
@@ -76,7 +79,7 @@ def _of_part(
 
 
 def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:
-    """Adjoint at the start of every block, (n, W), from what each block makes of its own errors."""
+    """Return the adjoint at the start of every block, (n, W), from the adjoints of single blocks."""
     backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
     inside = backwards >= 0
     blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)

@@ -1,4 +1,4 @@
-"""Exact columns of the Hessian, with the part that Gauss-Newton omits: differences of the adjoint gradient."""
+"""Exact columns of the Hessian by differences of the adjoint gradient; they include what Gauss-Newton omits."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
 
-# Step of a difference, in units in which the cost has curvature one: so small, since initial states that hardly show
-# make much of an error in their columns; and the most of a parameter, where the cost does not depend on it.
+# Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence
+# on the outputs amplify errors in their columns. Second: largest step relative to a parameter without influence.
 _DIFFERENCE, _MOST = 3e-8, 1e-4
 
 
 class PartHessian(NamedTuple):
-    """Hessian of a part without the block of its windows' starts.
+    """Hessian of a part, without the block of its window starts.
 
     Attributes
     ----------
     theta : (n_p, n_p) array
-        By parameters.
+        Derivatives by two parameters.
     mixed : (n_windows, n_p, n) array
-        By parameters and the starts of the windows.
+        Derivatives by a parameter and a window start.
     """
 
     theta: FloatArray
@@ -42,28 +42,33 @@ def exact_columns(
     weight: FloatArray,
     wanted: Sequence[Sequence[int]] | None = None,
 ) -> list[PartHessian]:
-    """Second derivatives of cost and weighted ends by each predictor's own parameters.
+    """Return second derivatives of cost and weighted window ends, by the own parameters of each predictor.
 
-    Parts share the passes over the samples, one for each parameter of the part that has most.
+    One pass over the samples moves one parameter of every part. So the part with the most parameters sets the number of
+    passes.
 
     Parameters
     ----------
     problem : Shooting
+        Problem of the fit.
     theta : (n_p,) array
-    starts, ends : (n_windows, n) array
-        Of the windows, and multipliers of where these end.
+        Parameters.
+    starts : (n_windows, n) array
+        States at the starts of the windows.
+    ends : (n_windows, n) array
+        Multipliers at the ends of the windows.
     curvatures : sequence of (n_p,) array
-        For each part its share in the second derivatives of the cost by the parameters at its `index`, roughly: steps
-        are chosen by their sum.
+        For each part, its approximate share in the second derivatives of the cost by the parameters at its `index`. The
+        sum of the shares sets the steps.
     weight : (n_y, n_y) array
-        Weight of the errors; it is constant, so that parts do not depend on each other.
+        Constant weight of the errors; with it, parts do not depend on each other.
     wanted : sequence of sequence of int, optional
-        For each part which of its own parameters; all when not given. Columns of others are zero.
+        For each part, the indices of its own parameters with a column; all when left out. Other columns are zero.
 
     Returns
     -------
     list of PartHessian
-        In physical units; not finite where the errors overflow.
+        Columns of each part in physical units; not finite when the errors overflow.
     """
     curvature = np.zeros(problem.n_theta)
     for part, share in zip(problem.parts, curvatures, strict=True):
@@ -93,7 +98,7 @@ def exact_columns(
 def _moved(
     problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray
 ) -> tuple[PredictorValues, float]:
-    """Return the predictor of a part with one own parameter moved inwards from its bounds, and the size of the move."""
+    """Return the predictor of a part with one own parameter moved within its bounds, and the step."""
     own = np.array(part.own(theta), float)
     onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
     step = _DIFFERENCE * float((onto * units[part.index]).max())

@@ -28,7 +28,7 @@ class Curvature(Protocol):
     """Function for the entries of the Lagrangian's Hessian in the order of `Shooting.hessian_pattern`."""
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Evaluate at a point, for multipliers of cost and gaps."""
+        """Return the entries at a point, for multipliers of cost and gaps."""
         ...
 
 
@@ -39,18 +39,18 @@ class GaussNewton:
         self._problem = problem
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Evaluate at a point."""
+        """Return the entries at a point."""
         return np.asarray(lam_f * self._problem.at(unknowns).hessian)
 
 
 class ExactHessian:
-    """Gauss-Newton at each point, and what it leaves out of the parameters' columns, made anew every few iterations.
+    """Gauss-Newton Hessian with the omitted part of the parameters' columns, computed every few iterations.
 
-    With white errors that is the columns of the disturbance gain alone: what the gain does is made of the errors
-    themselves. With coloured ones it is all columns.
+    For white errors these are only the columns of the disturbance gain, because the gain multiplies the errors
+    themselves. For coloured errors they are all columns.
 
-    Each part is made convex by itself (`held_up`): among several, the solver would shift the whole Hessian for the
-    sake of one.
+    The Hessian of each part is made convex by itself (`held_up`). Otherwise the solver would shift the Hessian of all
+    parts for one of them.
     """
 
     def __init__(self, problem: Shooting) -> None:
@@ -60,7 +60,7 @@ class ExactHessian:
         self._left_out: list[PartHessian] = []
 
     def __call__(self, unknowns: FloatArray, lam_f: float, lam_gaps: FloatArray) -> FloatArray:
-        """Evaluate at the solver's next point."""
+        """Return the entries at the solver's next point."""
         problem, here = self._problem, self._problem.at(unknowns)
         if not here.sweeps:
             return np.asarray(lam_f * here.hessian)
@@ -86,17 +86,18 @@ def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
 
 
 def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
-    """Turn over what is left out where it takes more than all of Gauss-Newton's curvature, and keep some of that.
+    """Return a correction of Gauss-Newton whose sum with it is convex: negative curvatures change their sign.
 
     Parameters
     ----------
     left_out, gauss_newton : (n, n) array
-        Symmetric; `gauss_newton` has no negative curvature, and where it has none, nothing is left out.
+        Omitted part and Gauss-Newton Hessian, symmetric. `gauss_newton` has no negative curvature. Directions without
+        curvature get no correction.
 
     Returns
     -------
     (n, n) array
-        What makes of each curvature its size, at least `_LEAST` of Gauss-Newton's.
+        Correction. With it, each curvature has its absolute value, but at least `_LEAST` of Gauss-Newton's.
     """
     size, axes = np.linalg.eigh(gauss_newton)
     there = size > _FLAT * size[-1]
@@ -119,24 +120,26 @@ def neighbours(problem: Shooting, unknowns: FloatArray) -> float:
 def left_out_columns(
     problem: Shooting, unknowns: FloatArray, lam_gaps: FloatArray, *, everything: bool = True
 ) -> list[PartHessian]:
-    """Return what Gauss-Newton leaves out of the weighted squares, for the parameters of each part.
+    """Return the part of the Hessian of the weighted squares that Gauss-Newton omits, for the parameters of each part.
 
-    The weight is that of the errors, and is held. Off the minimum the logarithm of the squares curves less, and where
-    they nearly vanish, downwards; that share is left aside.
+    The weight of the errors is constant. The cost is the logarithm of the squares. Away from the minimum, the logarithm
+    has less curvature, and for very small squares even negative curvature. This share is omitted.
 
     Parameters
     ----------
     problem : Shooting
+        Problem of the fit.
     unknowns : (n_unknowns,) array
-        Scaled.
+        Scaled unknowns.
     lam_gaps : (n_gaps,) array
+        Multipliers of the gaps.
     everything : bool
-        Whether for all parameters or, where none are tied, for the disturbance gain alone.
+        Whether to compute all columns. If not, parts without ties get the columns of the disturbance gain only.
 
     Returns
     -------
     list of PartHessian
-        Scaled; zero where the columns overflow.
+        Scaled columns of each part; zero when they overflow.
     """
     iterate = problem.at(unknowns)
     kept = gauss_newton_of(problem, iterate)
@@ -167,7 +170,7 @@ def left_out_columns(
 
 
 def entries_of(problem: Shooting, left_out: Sequence[PartHessian]) -> FloatArray:
-    """Entries where `Shooting.hessian_pattern` has them, the sum of all parts."""
+    """Return the entries in the order of `Shooting.hessian_pattern`, summed over all parts."""
     theta = np.zeros((problem.n_theta, problem.n_theta))
     for part, own in zip(problem.parts, left_out, strict=True):
         theta[np.ix_(part.index, part.index)] += own.theta

@@ -1,8 +1,8 @@
-"""Multiple-shooting problem of a prediction-error fit, evaluated numerically.
+"""Multiple-shooting problem of a prediction-error fit: cost, constraints and their derivatives as numbers.
 
-Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error
-of Eq. 15 (or the log-determinant of its covariance). Constraints require that each window ends where the next
-begins. All is scaled to the order of one. One pass over the samples gives cost, gradient, constraints,
+Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of Eq. 15,
+or the log-determinant of its covariance. Constraints require that each window ends at the start state of the next one.
+Unknowns and constraints are scaled to the order of one. One pass over the samples gives cost, gradient, constraints,
 Jacobian and Gauss-Newton Hessian of an iterate.
 """
 
@@ -23,30 +23,35 @@ from gbid.identify.nlp.stability import EDGE, near_instability, spectral_radius
 from gbid.identify.predictor import PredictorValues
 
 Criterion = Literal["trace", "det"]
-_ROUNDING = 1e-13  # of the outputs' power
-_WELL_BELOW = 0.01  # of that floor: a fit without errors gets there with its next step
+_ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
+_WELL_BELOW = 0.01  # part of that floor that a fit without errors reaches with its next step
 
 
 @dataclass(frozen=True, eq=False)
 class Shooting:
-    """A fit as a nonlinear programme.
+    """Nonlinear programme of a fit.
 
     Attributes
     ----------
     parts : tuple of RecordGroup
+        Groups of records.
     links : (n_links, 2) integer array
-        Windows, counted over all parts, of which the first must end where the second starts.
+        Pairs of windows, counted over all parts. The first must end at the start state of the second.
     criterion : {"trace", "det"}
+        Cost: weighted trace or determinant of the covariance of the errors.
     output_weights : (n_y,) array
         Weights of the squared errors in the trace.
     output_scale : float
         Total weighted standard deviation of the outputs.
     theta_scale : (n_p,) array
+        Scales of the parameters.
     state_scale : (n,) array
+        Scales of the states.
     prior : Prior
+        Prior knowledge of the parameters.
     stable_only : bool
-        Whether points with an unstable predictor count as none: over a finite record one can have smaller errors
-        than the stable predictor that the estimate is about.
+        Whether points with an unstable predictor are invalid. Over a finite record, an unstable predictor can have
+        smaller errors than the stable one that is to be estimated.
     """
 
     parts: tuple[RecordGroup, ...]
@@ -78,7 +83,7 @@ class Shooting:
 
     @property
     def n_unknowns(self) -> int:
-        """Free parameters and window starts."""
+        """Number of unknowns: free parameters and window starts."""
         return self.n_theta + self.n_windows * self.n_states
 
     @property
@@ -93,11 +98,11 @@ class Shooting:
 
     @cached_property
     def first_window(self) -> IntArray:
-        """First window of each part, shape (n_parts + 1,)."""
+        """First window of each part, and the number of windows, shape (n_parts + 1,)."""
         return np.concatenate([[0], np.cumsum([part.blocks.n_windows for part in self.parts])]).astype(np.int64)
 
     def pack(self, theta: FloatArray, starts: FloatArray) -> FloatArray:
-        """Scale parameters (n_p,) and window starts (n_windows, n) into one vector of unknowns."""
+        """Return the scaled unknowns of parameters (n_p,) and window starts (n_windows, n)."""
         return np.concatenate([theta / self.theta_scale, (starts / self.state_scale).ravel()])
 
     def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -107,7 +112,7 @@ class Shooting:
         return theta, starts
 
     def values(self, theta: FloatArray) -> list[PredictorValues]:
-        """Predictors of all parts, shared where parts share them; those of the last parameters are kept."""
+        """Return the predictors of all parts; equal ones are computed once, and the last ones are stored."""
         point = theta.tobytes()
         if point in self._met:
             return self._met[point]
@@ -124,41 +129,41 @@ class Shooting:
         return result
 
     def valid_values(self, theta: FloatArray) -> list[PredictorValues] | None:
-        """Predictors of all parts; None where the problem has no value: beyond bounds of tied ones, or unstable."""
+        """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
         if not all(part.within_bounds(theta) for part in self.parts):
             return None
         values = self.values(theta)
         return None if self.stable_only and self.noise and spectral_radius(values) > 1 else values
 
     def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
-        """One pass over every part; `starts` (n_windows, n)."""
+        """Return the sums of one pass over every part, for window starts (n_windows, n)."""
         return [
             tied(sweep(v, part.blocks, starts[a:b], weight, part.engine), part.tie)
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
     def errors(self, values: list[PredictorValues], starts: FloatArray) -> list[FloatArray]:
-        """Prediction errors of every part in blocks, zero where samples do not count."""
+        """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
         return [
             residuals(v, part.blocks, starts[a:b], part.engine)
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
     def error_products(self, values: list[PredictorValues], starts: FloatArray) -> FloatArray:
-        """``sum e e'`` over all parts, (n_y, n_y)."""
+        """Return ``sum e e'`` over all parts, (n_y, n_y)."""
         return np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e, optimize=True) for e in self.errors(values, starts)))
 
     def weight(self, error_products: FloatArray) -> FloatArray:
-        """Weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
+        """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
         if self.criterion == "trace":
             W = np.diag(self.output_weights)
             return np.asarray(W / (float(np.trace(W @ error_products)) + self._floor))
         return np.asarray(np.linalg.inv(error_products + self._floor * np.eye(len(error_products))))
 
     def cost(self, error_products: FloatArray) -> float:
-        """Half the logarithm of the weighted trace or determinant of ``sum e e'``, in units of the outputs' power.
+        """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
 
-        The logarithm moves no optimum, and makes the solver's tolerance one relative to the errors that are left.
+        The logarithm does not change the optimum. It makes the solver's tolerance relative to the remaining errors.
         """
         n_y = len(error_products)
         if self.criterion == "trace":
@@ -177,25 +182,27 @@ class Shooting:
 
     @cached_property
     def noise(self) -> tuple[int, ...]:
-        """Parameters that only disturbance gains depend on."""
+        """Indices of the parameters of disturbance gains."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
     def at_edge(self, theta: FloatArray) -> bool:
-        """Whether a predictor has come so near to instability that its disturbance gain is no estimate."""
+        """Whether a predictor is so close to instability that its disturbance gain is not a valid estimate."""
         if not (self.noise and self.stable_only):
             return False
         return any(near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Bounds of parameters that are tied, as no bound of an unknown says them.
+        """Linear constraints: bounds of tied parameters.
+
+        A tied parameter is a sum of several unknowns, so bounds of unknowns cannot limit it.
 
         Returns
         -------
         (n_limits, n_theta) array
-            Makes the parameters of the scaled unknowns, in units of their own scales.
+            Matrix from the scaled unknowns to the parameters in units of their own scales.
         (n_limits,) array, (n_limits,) array
-            Their bounds.
+            Lower and upper bounds.
         """
         rows, lower, upper = [], [], []
         for part in self.parts:
@@ -213,17 +220,17 @@ class Shooting:
 
     @cached_property
     def jacobian_pattern(self) -> Pattern:
-        """Where the Jacobian of the gaps has entries: the parameters of a window, its start, and the next start."""
+        """Sparsity pattern of the Jacobian of the gaps: parameters of a window, its start, and the next start."""
         return jacobian_pattern(self.links, self._links_by_part, self.n_states, self.n_theta, self.n_unknowns)
 
     @cached_property
     def hessian_pattern(self) -> Pattern:
-        """Where the upper triangle of the Hessian has entries: an arrow."""
+        """Sparsity pattern of the upper triangle of the Hessian: an arrow."""
         return hessian_pattern(self.parts, self.first_window, self._theta_pairs, self.n_states, self.n_unknowns)
 
     @property
     def exact_cost(self) -> float:
-        """Cost at or below which all errors are rounding, as for data that a model made without noise."""
+        """Largest cost at which all errors are rounding, as for simulated data without noise."""
         n_y = len(self.output_weights)
         if self.criterion == "det":
             return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW)
@@ -235,18 +242,18 @@ class Shooting:
 
     @property
     def _floor(self) -> float:
-        """Errors below rounding are no errors: keeps the logarithm finite for data without noise."""
+        """Power of rounding errors; added to the squares, it keeps the logarithm finite for data without noise."""
         return _ROUNDING * self._power
 
     @property
     def likelihood_size(self) -> float:
-        """The cost is the negative log-likelihood over this number."""
+        """Ratio of the negative log-likelihood to the cost."""
         n_y = len(self.output_weights)
         return self.n_samples * (n_y if self.criterion == "trace" else 1)
 
     @cached_property
     def _links_by_part(self) -> list[tuple[IntArray, IntArray, RecordGroup]]:
-        """Links that start in each part: their rows, their first windows, the part."""
+        """Links that start in each part: row numbers, first windows, and the part."""
         result = []
         for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
             own = np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last))
@@ -255,7 +262,7 @@ class Shooting:
 
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
-        """Pairs of parameters that meet in some part, upper triangle."""
+        """Pairs of parameters that are in the same part, upper triangle."""
         meet = np.eye(self.n_theta, dtype=bool)
         for part in self.parts:
             meet[np.ix_(part.index, part.index)] = True
@@ -263,12 +270,12 @@ class Shooting:
         return rows, columns
 
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a wild trial point: the solver steps back
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
             theta, starts = self.unpack(unknowns)
             values = self.valid_values(theta)
             if values is None:
                 return self._invalid()
-            if self.criterion == "trace":  # the weight is a number: it can follow the pass
+            if self.criterion == "trace":  # the weight is one factor, applied after the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
                 products = np.asarray(sum(s.error_products for s in sweeps))
@@ -283,7 +290,7 @@ class Shooting:
     def _assembled(
         self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
     ) -> Iterate:
-        """Put the parts' sums in their places, scaled."""
+        """Return the iterate, with the sums of the parts in place and scaled."""
         t, x = self.theta_scale, self.state_scale
         gradient, hessian = np.zeros(self.n_theta), np.zeros((self.n_theta, self.n_theta))
         starts_gradient, mixed, own, jacobian = [], [], [], []
@@ -319,9 +326,10 @@ class Shooting:
     def hessian_entries(
         self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
     ) -> FloatArray:
-        """Entries where `hessian_pattern` has them, from blocks of the parameters (n_theta, n_theta) and of each part.
+        """Return the entries in the order of `hessian_pattern`.
 
-        `mixed` are (n_windows, n_p, n), `starts` (n_windows, n, n).
+        `theta` (n_theta, n_theta) is the block of the parameters. For each part, `mixed` (n_windows, n_p, n) is the
+        block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.
         """
         rows, columns = np.triu_indices(self.n_states)
         arrow = [

@@ -22,32 +22,35 @@ from gbid.operating_point import point_label
 from gbid.structure import Parameter, Structure, evaluate
 
 Scope = Literal["recording", "operating_point"]
-_WINDOW = {"prediction": 256, "simulation": 128}  # samples; fed back outputs steady a prediction: it may be longer
+_WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
 _MOST_WINDOWS = {
     "prediction": 64,
     "simulation": 192,
-}  # beyond, longer windows; the solver's own work grows with their number
+}  # more samples make longer windows, because the solver's own work grows with the number of windows
 
 
 @dataclass(frozen=True, eq=False)
 class Assembly:
-    """A fit's data in the form that the shooting problem wants.
+    """Data of a fit for the shooting problem.
 
     Attributes
     ----------
     parts : tuple of RecordGroup
+        Groups of records.
     links : (n_links, 2) integer array
-        Windows that must meet, counted over all parts.
+        Pairs of windows, counted over all parts. The first must end at the start state of the second.
     free : tuple of Parameter
-        The estimated parameters; local ones carry their group's name in brackets.
+        Estimated parameters; names of local ones end with the name of their group in brackets.
     unused : tuple of str
-        Parameters of the structure that the focus does not see.
+        Parameters of the structure without influence in this focus.
     record_window : (n_records,) integer array
         First window of each record.
     record_names : tuple of dict
-        For each record, the full name of every free parameter that it sees, by the structure's name.
+        For each record, the full names of its free parameters, by the structure's names.
     engine : {"compiled", "numpy"}
+        Engine of the passes over the samples.
     notes : tuple of str
+        Notes for the user.
     """
 
     parts: tuple[RecordGroup, ...]
@@ -61,7 +64,7 @@ class Assembly:
 
     @property
     def own_names(self) -> dict[str, str]:
-        """The structure's name of each free parameter by its full name."""
+        """Names in the structure, by the full names of the free parameters."""
         return {full: own for names in self.record_names for own, full in names.items()}
 
 
@@ -81,10 +84,10 @@ def assemble(
     engine: EngineName,
     ties: Ties | None = None,
 ) -> Assembly:
-    """Assemble a fit.
+    """Return the assembly of a fit from recordings and options.
 
-    Parameters are those of `gbid.fit`; `parameters` and `begin` have its starts, bounds and fixed values in. With
-    `ties`, parameters of the structure are linear in further, shared unknowns, which are then the first of `free`.
+    The parameters are those of `gbid.fit`. Its starts, bounds and fixed values are in `parameters` and `begin`. With
+    `ties`, parameters of the structure are linear in further, shared unknowns. These are then the first of `free`.
 
     Raises
     ------
@@ -160,7 +163,7 @@ def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -
 
 
 def _check_names(data: FitData) -> None:
-    """Refuse recordings with equal names if options identify them by name."""
+    """Raise an error for recordings with equal names, because options identify recordings by name."""
     names = [record.name for record in data.records]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
@@ -171,7 +174,7 @@ def _check_names(data: FitData) -> None:
 
 
 def group_name(record: Record, scope: Scope) -> str:
-    """Name of the group of records that share a local parameter."""
+    """Return the name of the group of records that share a local parameter."""
     if scope == "recording":
         return record.name
     if scope != "operating_point":
@@ -209,17 +212,21 @@ def _all_free(parameters: Sequence[Parameter], record_names: Sequence[Mapping[st
 
 
 def automatic_window(data: FitData, focus: Focus) -> int:
-    """Choose a window: short enough for bad starts, the number of windows a multiple of the lanes.
+    """Return a length of the shooting windows.
+
+    It is short, so that the fit converges from bad start values. The number of windows is a multiple of the lanes.
 
     Parameters
     ----------
     data : FitData
+        Data of the fit.
     focus : {"prediction", "simulation"}
+        Focus of the fit.
 
     Returns
     -------
     int
-        Samples.
+        Number of samples.
     """
     n = data.n_samples
     count = min(LANES * -(-n // (_WINDOW[focus] * LANES)), _MOST_WINDOWS[focus])
@@ -229,7 +236,7 @@ def automatic_window(data: FitData, focus: Focus) -> int:
 def full_start(
     assembly: Assembly, begin: Mapping[str, float], offsets: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, float]:
-    """Return start values by full name: equal for all groups of a local parameter, `offsets` for each record."""
+    """Return start values by full name: one for all groups of a local parameter, and `offsets` for each record."""
     full = dict(begin)
     for i, names in enumerate(assembly.record_names):
         own = {**begin, **(offsets[i] if offsets else {})}
@@ -240,7 +247,7 @@ def full_start(
 def offset_starts(
     structure: Structure, begin: Mapping[str, float], data: FitData, intersample: Hold | Sequence[Hold]
 ) -> list[dict[str, float]]:
-    """Return start values of the offsets of each record: the mean residual of the model at its start values."""
+    """Return start values of the offsets of each record: the median residual of the model at its start values."""
     starts = []
     for record in data.records:
         model = evaluate(structure, begin)

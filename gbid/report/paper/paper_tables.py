@@ -109,7 +109,7 @@ def _mode_table(results: Results, title: str, sign: str, j: int) -> Table:
     columns = [(i, loop) for i in (0, 1) for loop in ("open", "closed")]
     rows: list[tuple[Entry, ...]] = [
         ("expected from model", *(loops[loop].expected[i][j] for i, loop in columns)),
-        ("expected as it runs, sampled", *(loops[loop].expected_sampled[i][j] for i, loop in columns)),
+        ("expected, sampled loop", *(loops[loop].expected_sampled[i][j] for i, loop in columns)),
         ("obtained from the impacts", *(loops[loop].ringdown.modes()[i][j] for i, loop in columns)),
         ("standard deviation", *(_std(loops[loop].ringdown, i, j) for i, loop in columns)),
     ]

@@ -42,7 +42,7 @@ _QUANTITIES = (
 # Heading, entry of a mode with the key of the quantity, and number of further decimals.
 _LINES = (
     ("expected from model", "expected_{}", 0),
-    ("expected as it runs, sampled", "running_{}", 0),
+    ("expected, sampled loop", "running_{}", 0),
     ("obtained from the impacts", "obtained_{}", 2),
     ("  standard deviation", "obtained_{}_std", 2),
 )

@@ -46,7 +46,7 @@ def impacts_section(results: Results, pictures: Pictures) -> PageSection | None:
         heads = [
             f"{word} {what}{unit}"
             for what, unit, _ in _QUANTITIES
-            for word in ("expected", "as it runs", "from impacts", "paper's")
+            for word in ("expected", "sampled loop", "from impacts", "paper's")
         ]
         caption = "Modes expected from the model, expected of the sampled loop, and obtained from the impacts"
         blocks.insert(0, Table(caption, [Column("where"), *(Column(head, format=4) for head in heads)], modes))
