@@ -182,7 +182,7 @@ class Shooting:
 
     @cached_property
     def noise(self) -> tuple[int, ...]:
-        """Indices of the parameters of disturbance gains."""
+        """Indices of the parameters on which only disturbance gains depend."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
     def at_edge(self, theta: FloatArray) -> bool:

@@ -32,12 +32,15 @@ class DampingMap:
     Attributes
     ----------
     pressure_bar : (n,) array
+        Injection pressures [bar].
     speed_rpm : (m,) array
+        Speeds [rpm].
     damping : (n, m) array
-        Negative where the loop is not stable.
+        Smallest damping factor; negative for an unstable loop.
     points : (k, 2) array
-        Operating points to be marked: pressure [bar], speed [rpm].
+        Operating points with a mark: pressure [bar], speed [rpm].
     title : str
+        Title of the figure.
     """
 
     pressure_bar: FloatArray
@@ -56,25 +59,27 @@ def damping_map_data(
     pade_order: int | None = None,
     title: str = "",
 ) -> DampingMap:
-    """Compute the smallest damping factor of the modes over a model's domain.
+    """Return the smallest damping factor of the modes over the domain of a model.
 
     Parameters
     ----------
     model : LPVModel
+        LPV model.
     controller : LinearModel or callable, optional
-        From p to r, or a function that gives it at ``(pressure_bar, speed_rpm)``; the open loop when left out.
+        Controller from p to r, or a function from ``(pressure_bar, speed_rpm)`` to it; open loop when left out.
     n : int
-        Points in each direction.
+        Number of points in each direction.
     points : (k, 2) array, optional
-        Operating points to be marked; the model's when left out.
+        Operating points with a mark; those of the model when left out.
     pade_order : int, optional
-        Order of the delays' approximation; the model's own when left out.
+        Order of the Padé approximation of the delays; that of the model when left out.
     title : str
+        Title of the figure.
 
     Returns
     -------
     DampingMap
-        Below zero where the loop is not stable.
+        Smallest damping factors; negative for an unstable loop.
     """
     from gbid.control import close_loop, smallest_damping
 
@@ -91,17 +96,19 @@ def damping_map_data(
 
 @styled
 def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Figure:
-    """Draw lines of equal damping over pressure and speed; what is not stable is hatched.
+    """Draw lines of equal damping over pressure and speed; regions of instability are hatched.
 
     Parameters
     ----------
     data : DampingMap
+        Data of the figure.
     ax : matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
     grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)

@@ -67,14 +67,16 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
     Parameters
     ----------
     data : Eigenvalues
+        Data of the figure.
     ax : matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
     largest_hz : float
-        Poles further away from zero are not shown.
+        Largest distance from zero of the poles shown [Hz].
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, (panel, *_) = panels(ax, size=(4.6, 3.6))
     for k, (label, poles) in enumerate(data.poles.items()):
@@ -117,19 +119,23 @@ def root_locus_data(
     label: str = "factor on the gains [-]",
     title: str = "",
 ) -> RootLocus:
-    """Compute the closed loop's poles for a row of controllers.
+    """Return the poles of a closed loop over a factor on the controller.
 
     Parameters
     ----------
     plant : LinearModel
+        Plant.
     controller : callable
-        From the factor to the controller, as ``lambda f: p_controller(f * 1.125, f * 0.99)``.
+        Function from the factor to the controller, as ``lambda f: p_controller(f * 1.125, f * 0.99)``.
     factor : (n,) array
+        Factors.
     label, title : str
+        Meaning of the factor, and title of the figure.
 
     Returns
     -------
     RootLocus
+        Poles for each factor.
     """
     from gbid.control import close_loop
 
@@ -192,7 +198,7 @@ def _finish_plane(ax: Any, largest_hz: float) -> None:
         reach = min(-left, top / slope)
         ax.plot([0, -reach], [0, reach * slope], color=GREY, linewidth=0.6, linestyle=(0, (4, 3)), zorder=0)
         at_edge = reach < top / slope
-        if at_edge or not written or written - reach > 0.07 * (right - left):  # else the numbers would overlap
+        if at_edge or not written or written - reach > 0.07 * (right - left):  # otherwise the numbers overlap
             look: dict[str, Any] = {"ha": "left", "va": "top"} if at_edge else {"ha": "center", "va": "bottom"}
             shift = (2, -3) if at_edge else (0, 1)
             word = {"fontsize": 7, "color": "#666666", "textcoords": "offset points", "xytext": shift}

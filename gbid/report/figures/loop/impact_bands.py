@@ -34,7 +34,7 @@ _BEFORE_S = 5e-3
 
 @dataclass(frozen=True, eq=False)
 class ImpactLoops:
-    """Responses to the same impact in several loops.
+    """Mean responses of several loops to impacts.
 
     Attributes
     ----------
@@ -54,24 +54,24 @@ class ImpactLoops:
 
 
 def impact_loops_data(studies: Mapping[str, ImpactStudy], duration_s: float = 0.05) -> ImpactLoops:
-    """Average the responses to the impacts of each loop, for `plot_impact_loops`.
+    """Return mean and standard deviation of the impact responses of each loop, for `plot_impact_loops`.
 
     Parameters
     ----------
     studies : dict of str to ImpactStudy
-        By the label of the loop; at one operating point.
+        Impact studies at one operating point, by the label of the loop.
     duration_s : float
-        How long to show after an impact [s]; less when the next impact comes earlier.
+        Time shown after an impact [s]; it is shorter when the next impact comes earlier.
 
     Returns
     -------
     ImpactLoops
-        Without what turns with the shaft.
+        Responses without unbalance and run-out.
 
     Raises
     ------
     UsageError
-        When there are no studies, or not of one operating point and sample time.
+        When there are no studies, or when their operating points or sample times differ.
     """
     found = list(studies.values())
     steps = [float(v.time[1] - v.time[0]) for study in found for v in study.validations]
@@ -110,18 +110,19 @@ def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
 
 @styled
 def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw the responses of several loops to the same impact, along x above, along y below.
+    """Draw the impact responses of several loops, along x above and along y below.
 
     Parameters
     ----------
     data : ImpactLoops
+        Data of the figure.
     ax : sequence of two matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Lines are means over the impacts, bands a standard deviation to each side.
+        Figure with lines of the mean, and bands of plus and minus one standard deviation.
     """
     figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
     for k, (label, mean) in enumerate(data.mean.items()):

@@ -40,14 +40,15 @@ class ImpactCurves:
     Attributes
     ----------
     time : (n,) array
-        [s]
+        Time from the impact [s].
     responses : dict of str to (n,) array
         Positions [m] by label, as ``{"open loop": ..., "closed loop": ...}``.
     forces : dict of str to (n,) array
-        Impact forces [N] by label; empty without.
+        Impact forces [N] by label; empty without forces.
     axis : {"x", "y"}
+        Axis of the impact.
     title : str
-        Operating point.
+        Title of the figure, as the operating point.
     """
 
     time: FloatArray
@@ -59,22 +60,24 @@ class ImpactCurves:
 
 @styled
 def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw responses to an impact, and below them the forces.
+    """Draw impact responses, with the forces below.
 
     Parameters
     ----------
     data : ImpactCurves
+        Data of the figure.
     ax : sequence of matplotlib Axes, optional
-        One, or two where there are forces; a new figure when left out.
+        Axes of the responses, and axes of the forces if there are any; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     UsageError
-        When a curve has another length than the time.
+        When the lengths of a curve and of the time differ.
     """
     for label, curve in (*data.responses.items(), *data.forces.items()):
         if np.shape(curve) != np.shape(data.time):
@@ -100,23 +103,24 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> Figure:
 
 
 def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
-    """Lay the first impact of either loop over each other, for `plot_impact` (Figs. 22, 23, 26, 27).
+    """Return the responses to the first impact in open and closed loop, for `plot_impact` (Figs. 22, 23, 26, 27).
 
     Parameters
     ----------
     open_loop, closed_loop : ImpactStudy
-        At the same operating point.
+        Impact studies at one operating point.
     axis : {"x", "y"}
+        Axis of the impacts.
 
     Returns
     -------
     ImpactCurves
-        Positions as measured, less their offset: unbalance and run-out are in them. Time counts from the impact.
+        Measured positions without their offset, but with unbalance and run-out.
 
     Raises
     ------
     UsageError
-        When a loop was not hit along this axis.
+        When a loop has no impact along this axis.
     """
     found = {"open loop": validation_along(open_loop, axis), "closed loop": validation_along(closed_loop, axis)}
     j = "xy".index(axis)
@@ -134,22 +138,24 @@ def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal[
 
 
 def impact_validation_data(study: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:
-    """Lay measured and simulated response to the first impact over each other, for `plot_impact` (Figs. 24, 25).
+    """Return measured and simulated response to the first impact, for `plot_impact` (Figs. 24, 25).
 
     Parameters
     ----------
     study : ImpactStudy
+        Impact study.
     axis : {"x", "y"}
+        Axis of the impacts.
 
     Returns
     -------
     ImpactCurves
-        Without what turns with the shaft.
+        Responses without unbalance and run-out.
 
     Raises
     ------
     UsageError
-        When nothing hit along this axis.
+        When the study has no impact along this axis.
     """
     v, j = validation_along(study, axis), "xy".index(axis)
     part = slice(max(0, v.windows[0][0] - _BEFORE), v.windows[0][1])

@@ -37,16 +37,18 @@ _RANGE_DB = 90.0
 
 @dataclass(frozen=True, eq=False)
 class MagnitudeCurves:
-    """Frequency responses that are drawn over each other, a panel for each pair of channels.
+    """Frequency responses of several transfer functions, with a panel for each pair of channels.
 
     Attributes
     ----------
     frequency_hz : (n,) array
+        Frequencies [Hz].
     responses : dict of str to (n, n_outputs, n_inputs) complex array
-        By label, as it stands in the legend.
+        Frequency responses by label of the legend.
     output_names, input_names : tuple of str
+        Names of the channels.
     title : str
-        Operating point and controller.
+        Title of the figure, as operating point and controller.
     """
 
     frequency_hz: FloatArray
@@ -57,36 +59,38 @@ class MagnitudeCurves:
 
 
 def sensitivity_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
-    """Choose the sensitivities of a loop (Fig. 20): ``S_o`` and ``K_pl S_o``.
+    """Return the sensitivities ``S_o`` and ``K_pl S_o`` of a loop (Fig. 20).
 
     Parameters
     ----------
     data : SensitivityData
-        From `gbid.control.sensitivity_data`.
+        Result of `gbid.control.sensitivity_data`.
     title : str
-        Operating point and controller.
+        Title of the figure, as operating point and controller.
 
     Returns
     -------
     MagnitudeCurves
+        Frequency responses.
     """
     curves = {"output sensitivity $S_o$": data.output, "controller sensitivity $K_{pl} S_o$": data.control}
     return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.output_names, title)
 
 
 def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
-    """Choose the plant and what the loop makes of it (Fig. 21): ``G`` and ``S_o G``.
+    """Return the transfer functions ``G`` of the open loop and ``S_o G`` of the closed loop (Fig. 21).
 
     Parameters
     ----------
     data : SensitivityData
-        From `gbid.control.sensitivity_data`.
+        Result of `gbid.control.sensitivity_data`.
     title : str
-        Operating point and controller.
+        Title of the figure, as operating point and controller.
 
     Returns
     -------
     MagnitudeCurves
+        Frequency responses.
     """
     curves = {"open loop $G$": data.open_loop, "closed loop $S_o G$": data.plant}
     return MagnitudeCurves(data.frequency_hz, curves, data.output_names, data.input_names, title)
@@ -94,23 +98,24 @@ def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
 
 @styled
 def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> Figure:
-    """Draw magnitudes over frequency, in decibels of m/m.
+    """Draw magnitudes over frequency, in decibels relative to 1 m/m.
 
     Parameters
     ----------
     data : MagnitudeCurves
-        From `sensitivity_curves` or `bode_curves`.
+        Data of `sensitivity_curves` or `bode_curves`.
     ax : array of matplotlib Axes, optional
-        Outputs down, inputs across; a new figure when left out.
+        Axes with a row for each output and a column for each input; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     UsageError
-        When a response has another shape than the channels say.
+        When the shape of a response does not fit the channels and frequencies.
     """
     shape = (len(data.frequency_hz), len(data.output_names), len(data.input_names))
     for label, response in data.responses.items():

@@ -27,17 +27,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class ParetoCurves:
-    """Designs between robustness and damping.
+    """Pareto fronts of robustness and damping, and single designs.
 
     Attributes
     ----------
     peak_sensitivity : dict of str to (n,) array
-        Peak of S_o, by structure of the controller.
+        Peak of S_o of the designs, by structure of the controller.
     damping : dict of str to (n,) array
         Smallest damping factor of the same designs.
     designs : dict of str to (peak, damping)
-        Single designs to be marked, as the paper's gains.
+        Single designs with a mark, as the paper's gains.
     title : str
+        Title of the figure.
     """
 
     peak_sensitivity: Mapping[str, FloatArray]
@@ -51,18 +52,21 @@ def pareto_data(
     marked: Mapping[str, tuple[float, float]] | None = None,
     title: str = "",
 ) -> ParetoCurves:
-    """Sort designs by their peak sensitivity.
+    """Return designs in ascending order of their peak sensitivity.
 
     Parameters
     ----------
     designs : dict of str to sequence of (peak_sensitivity, damping)
-        By structure of the controller.
+        Designs by structure of the controller.
     marked : dict of str to (peak_sensitivity, damping), optional
+        Single designs with a mark.
     title : str
+        Title of the figure.
 
     Returns
     -------
     ParetoCurves
+        Fronts and single designs.
     """
     sorted_designs = {label: np.array(sorted(pairs), float).reshape(-1, 2) for label, pairs in designs.items()}
     peaks = {label: pairs[:, 0] for label, pairs in sorted_designs.items()}
@@ -71,17 +75,17 @@ def pareto_data(
 
 
 def designs_pareto_data(designs: Mapping[str, TunedDesign]) -> ParetoCurves:
-    """Give the fronts of comparable designs with the published design on them, for `plot_pareto`.
+    """Return the fronts of comparable designs, with the published designs, for `plot_pareto`.
 
     Parameters
     ----------
     designs : dict of str to TunedDesign
-        By name; each with its designs under other caps.
+        Designs by name; each has its designs for other limits of the peak sensitivity.
 
     Returns
     -------
     ParetoCurves
-        By structure; designs that keep not all their limits are left out.
+        Fronts by structure; designs that violate a limit are left out.
 
     Raises
     ------
@@ -120,12 +124,14 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Figure:
     Parameters
     ----------
     data : ParetoCurves
+        Data of the figure.
     ax : matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
     for k, (label, peak) in enumerate(data.peak_sensitivity.items()):

@@ -1,4 +1,4 @@
-"""Gains and poles of the actuators across recordings: paper, Fig. 8."""
+"""Gains and poles of the actuators over the recordings (paper, Fig. 8)."""
 
 from __future__ import annotations
 
@@ -32,16 +32,16 @@ _ROWS = (("kappa", "\\kappa_{a,%s}", "m/m", 1.0), ("p1", "p_{1,%s}", "rad/s", 1.
 
 @dataclass(frozen=True, eq=False)
 class ActuatorParameters:
-    """Parameters of the actuators, one value for each recording.
+    """Parameters of the actuators for each recording.
 
     Attributes
     ----------
     values : dict of str to (n,) array
-        By name: ``kappa_x``, ``p1_x``, ``p2_x``, ``kappa_y``, ... in SI.
+        Values by name (``kappa_x``, ``p1_x``, ``p2_x``, ``kappa_y``, ...), in SI units.
     outliers : dict of str to (n,) boolean array
-        Which values are; names may be missing.
+        Masks of the outliers by name; a missing name has none.
     nominal : int, optional
-        Index of the recording whose model is the nominal one.
+        Index of the recording of the nominal model.
     """
 
     values: Mapping[str, FloatArray]
@@ -51,17 +51,19 @@ class ActuatorParameters:
 
 @styled
 def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw gains and poles of the actuators across recordings, outliers and the nominal model marked (Fig. 8).
+    """Draw gains and poles of the actuators over the recordings, with marks for outliers and nominal model (Fig. 8).
 
     Parameters
     ----------
     data : ActuatorParameters
+        Data of the figure.
     ax : sequence of six matplotlib Axes, optional
-        Rows: gain, slow pole, fast pole; columns: x, y. A new figure when left out.
+        Axes by rows: gain, slow pole, fast pole; columns: x, y. A new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, axes = panels(ax, 3, 2, size=(TWO_COLUMNS, 5.0), sharex=True)
     for i, (name, symbol, unit, scale) in enumerate(_ROWS):
@@ -87,11 +89,17 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
 
 
 def nominal_data(nominal: NominalActuator) -> ActuatorParameters:
-    """Give the actuators of all recordings, for `plot_actuator_parameters` (Fig. 8).
+    """Return the parameters of the actuators for `plot_actuator_parameters` (Fig. 8).
 
     Parameters
     ----------
     nominal : NominalActuator
+        Choice of the nominal actuators, with the values of all recordings.
+
+    Returns
+    -------
+    ActuatorParameters
+        Parameters of all recordings.
     """
     values = dict(zip(nominal.parameter_names, nominal.values.T, strict=True))
     off = {(o.model, o.parameter) for o in nominal.outliers}

@@ -1,4 +1,4 @@
-"""Histograms of the cross-validation fit: paper, Figs. 9 and 10."""
+"""Histograms of the cross-validation fit (paper, Figs. 9 and 10)."""
 
 from __future__ import annotations
 
@@ -29,17 +29,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """How often the fit fell into each bin.
+    """Histogram of the fit of one output.
 
     Attributes
     ----------
     label : str
-        What was counted.
+        Title of the panel.
     edges : (n_bins + 1,) array
-        [%]
+        Edges of the bins [%].
     counts : (n_bins,) integer array
+        Number of values in each bin.
     mean, std : float
-        [%]; std with one degree of freedom less than values.
+        Mean and standard deviation [%]; the latter with n - 1 degrees of freedom.
     """
 
     label: str
@@ -61,13 +62,14 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
     Parameters
     ----------
     data : sequence of Histogram
-        From `crossval_data`.
+        Histograms of `crossval_data`.
     ax : sequence of matplotlib Axes, optional
-        One for each; a new figure when left out.
+        Axes for each histogram; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, axes = panels(ax, 1, len(data), size=(TWO_COLUMNS, 2.4), sharey=True)
     for panel, histogram in zip(axes, data, strict=False):
@@ -89,16 +91,17 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
 
 
 def crossval_data(summary: ValidationSummary) -> list[Histogram]:
-    """Give the histograms of a cross-validation, for `plot_fit_histogram` (Figs. 9, 10).
+    """Return the histograms of a cross-validation for `plot_fit_histogram` (Figs. 9, 10).
 
     Parameters
     ----------
     summary : ValidationSummary
+        Summary of the cross-validation.
 
     Returns
     -------
     list of Histogram
-        One for each output; pairs below the first bin are said in its label.
+        Histogram of each output; its label states the number of pairs below the first bin.
     """
     found = []
     for j, name in enumerate(summary.output_names):

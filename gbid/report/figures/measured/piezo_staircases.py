@@ -1,4 +1,4 @@
-"""Piezos on their own: hysteresis and staircases, with and without PD control. Paper, Figs. A.28 and A.29."""
+"""Staircases and hysteresis of single piezos, with and without PD control (paper, Figs. A.28 and A.29)."""
 
 from __future__ import annotations
 
@@ -33,21 +33,22 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class PiezoStaircase:
-    """A staircase of one piezo.
+    """Staircase of one piezo.
 
     Attributes
     ----------
     label : str
-        As ``"open loop"`` or ``"PD control"``.
+        Label of the curves, as ``"open loop"`` or ``"PD control"``.
     time : (n,) array
-        [s]
+        Time [s].
     command : (n,) array
-        Voltage [V], or the reference position [m].
+        Voltage [V] or reference position [m].
     command_unit : {"V", "m"}
+        Unit of the command.
     position : (n,) array
-        [m]
+        Position [m].
     steps : (n_steps,) integer array
-        Samples at which the command changes, rising.
+        Samples at which the command changes, in ascending order.
     """
 
     label: str
@@ -58,7 +59,7 @@ class PiezoStaircase:
     steps: IntArray
 
     def plateaus(self) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Command and position [m] at the end of each step (mean of its last tenth), and whether the step rose."""
+        """Return command and position [m] as means over the last tenth of each step, and a mask of rising steps."""
         ends = [*self.steps[1:], len(self.time)]
         parts = [slice(max(b, e - max(1, (e - b) // 10)), e) for b, e in zip(self.steps, ends, strict=True)]
         command = np.array([self.command[part].mean() for part in parts])
@@ -66,7 +67,7 @@ class PiezoStaircase:
         return command, position, np.diff(command, prepend=self.command[max(self.steps[0] - 1, 0)]) > 0
 
     def single_steps(self) -> list[tuple[FloatArray, FloatArray]]:
-        """Time [s] and position [m] of each step from where and when it began, steps down mirrored."""
+        """Return time [s] and position [m] of each step, both from its start; falling steps are mirrored."""
         ends = [*self.steps[1:], len(self.time)]
         found = []
         for begin, end in zip(self.steps, ends, strict=True):
@@ -79,23 +80,26 @@ class PiezoStaircase:
 def piezo_staircase_data(
     label: str, time: npt.ArrayLike, command: npt.ArrayLike, position: npt.ArrayLike, command_unit: str = "V"
 ) -> PiezoStaircase:
-    """Find the steps of a staircase: where the command changes.
+    """Return a staircase with its steps, at which the command changes.
 
     Parameters
     ----------
     label : str
+        Label of the curves.
     time, command, position : (n,) array
-        [s], in `command_unit`, [m].
+        Time [s], command [`command_unit`] and position [m].
     command_unit : {"V", "m"}
+        Unit of the command.
 
     Returns
     -------
     PiezoStaircase
+        The staircase.
 
     Raises
     ------
     UsageError
-        When the command never changes, or lengths differ.
+        When the command never changes, or when the lengths differ.
     """
     t, c, y = (np.asarray(values, float) for values in (time, command, position))
     if not t.shape == c.shape == y.shape or t.ndim != 1:
@@ -110,18 +114,19 @@ def piezo_staircase_data(
 
 @styled
 def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw positions at rest over the command, up and down, and the staircase beside them (Fig. A.28).
+    """Draw positions at rest over the rising and falling command, and the command over time (Fig. A.28).
 
     Parameters
     ----------
     data : sequence of PiezoStaircase
-        Commands in different units get axes of their own.
+        Staircases; each unit of the commands has its own axes.
     ax : sequence of matplotlib Axes, optional
-        A hysteresis panel for each unit of the commands, then one for the staircase; a new figure when left out.
+        Axes of the hysteresis for each unit, then axes of the commands; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     units = list(dict.fromkeys(staircase.command_unit for staircase in data))
     figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
@@ -147,18 +152,19 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
 
 @styled
 def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw single steps from where they began, and the whole staircases (Fig. A.29).
+    """Draw single steps from their starts, and whole staircases (Fig. A.29).
 
     Parameters
     ----------
     data : sequence of PiezoStaircase
-        Open loop and PD control, for example. Steps down are mirrored and dashed.
+        Staircases, for example open loop and PD control. Falling steps are mirrored and dashed.
     ax : sequence of two matplotlib Axes, optional
         Axes to draw into; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
     for k, staircase in enumerate(data):
@@ -192,17 +198,23 @@ def _share(command: FloatArray) -> FloatArray:
 def piezo_data(
     curve: PiezoCurve, recording: Recording, command: str, command_channel: str | None = None
 ) -> PiezoStaircase:
-    """Give a staircase of a piezo with its time course, for the figures A.28 and A.29.
+    """Return the staircase of a piezo for Figs. A.28 and A.29.
 
     Parameters
     ----------
     curve : PiezoCurve
+        Characterisation of the piezo.
     recording : Recording
-        That it was made from.
+        Recording of the staircase.
     command : str
-        Signal with the voltage or the reference.
+        Name of the signal with the voltage or the reference position.
     command_channel : str, optional
-        That of the position when left out.
+        Channel of the command; that of the position when left out.
+
+    Returns
+    -------
+    PiezoStaircase
+        The staircase.
     """
     position, _, channel = curve.channel.rpartition("_")
     source = recording.channels[command].index(command_channel or channel)

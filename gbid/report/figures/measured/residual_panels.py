@@ -27,20 +27,22 @@ _ROW_INCHES, _FRAME_INCHES, _COLUMN_INCHES = 1.3, 1.25, 2.1
 
 @dataclass(frozen=True, eq=False)
 class ResidualPanel:
-    """One panel of the figure.
+    """Correlation of a residual with itself or with an input.
 
     Attributes
     ----------
     output : str
+        Name of the output of the residual.
     against : str
-        Name of the input; the output's own for an autocorrelation.
+        Name of the input; the name of the output for an autocorrelation.
     lags : (n,) integer array
-        Of the residual behind the input [samples]; from 1 for an autocorrelation, which is 1 at 0.
+        Lags of the residual behind the input [samples]. Autocorrelations start at 1, because their value at 0 is 1.
     time : (n,) array
-        The same [ms].
+        Lags [ms].
     correlation : (n,) array
+        Correlation coefficients.
     band : float
-        99 % of the values of white, or independent, residuals lie within plus and minus this.
+        Limit of the absolute value for 99 % of the values of white, or independent, residuals.
     """
 
     output: str
@@ -52,22 +54,22 @@ class ResidualPanel:
 
     @property
     def outside(self) -> BoolArray:
-        """Which values lie outside the band."""
+        """Mask of the values outside the band."""
         return np.asarray(np.abs(self.correlation) > self.band)
 
 
 def residuals_data(test: ResidualTest) -> list[list[ResidualPanel]]:
-    """Give the numbers that the figure shows.
+    """Return the correlations of a residual test for `plot_residuals`.
 
     Parameters
     ----------
     test : ResidualTest
-        From `gbid.check_residuals`.
+        Result of `gbid.check_residuals`.
 
     Returns
     -------
     list of list of ResidualPanel
-        A row for each output: its autocorrelation, then its cross-correlation with each input.
+        Row for each output: autocorrelation, then cross-correlation with each input.
     """
     milliseconds = 1e3 * float(test.time[-1]) / max(int(test.lags[-1]), 1)
     rows = []
@@ -83,19 +85,19 @@ def residuals_data(test: ResidualTest) -> list[list[ResidualPanel]]:
 
 
 def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
-    """Draw the correlations of a residual test, a row for each output.
+    """Draw the correlations of a residual test, with a row for each output.
 
     Parameters
     ----------
     test : ResidualTest
-        From `gbid.check_residuals`.
+        Result of `gbid.check_residuals`.
     title : str, optional
-        In place of the recording's name.
+        Title of the figure; the name of the recording when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
-        Lags in samples below, in milliseconds above; the band of 99 % shaded.
+        Figure with lags in samples below and in milliseconds above. The band of 99 % is shaded.
     """
     with mpl.rc_context(fname=STYLE):
         n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
@@ -111,17 +113,19 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
 
 
 def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]]) -> None:
-    """Draw into axes of one's own: a row for each output, first the autocorrelation, then one for each input.
+    """Draw the correlations of a residual test into given axes.
 
     Parameters
     ----------
     test : ResidualTest
+        Result of `gbid.check_residuals`.
     axes : sequence of rows of matplotlib Axes
+        Row of axes for each output: autocorrelation, then cross-correlation with each input.
 
     Raises
     ------
     UsageError
-        When the axes are too few.
+        When there are too few axes.
     """
     rows = residuals_data(test)
     if len(axes) < len(rows) or any(len(row) < len(panels) for row, panels in zip(axes, rows, strict=False)):
@@ -141,7 +145,7 @@ def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]]) -> None:
 
 
 def _plot_panel(panel: ResidualPanel, ax: Axes) -> None:
-    """Draw bars from zero; those outside the band stand out in colour and width."""
+    """Draw bars from zero; those outside the band have another colour and width."""
     ax.axhspan(-panel.band, panel.band, color=_BAND, linewidth=0)
     ax.axhline(0.0, color=_INSIDE, linewidth=0.6)
     styles: tuple[tuple[Any, dict[str, Any]], ...] = (
@@ -151,7 +155,7 @@ def _plot_panel(panel: ResidualPanel, ax: Axes) -> None:
     for chosen, style in styles:
         ax.vlines(panel.lags[chosen], 0.0, panel.correlation[chosen], **style)
     edge = max(2.0 * panel.band, 1.15 * float(np.abs(panel.correlation).max()))
-    ax.set_ylim(-edge, 1.3 * edge)  # room above for what is said
+    ax.set_ylim(-edge, 1.3 * edge)  # room for the text above
     ax.set_xlim(panel.lags[0] - 1, panel.lags[-1] + 1)
 
 

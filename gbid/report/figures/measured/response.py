@@ -1,4 +1,4 @@
-"""Measured and simulated outputs with the inputs below: paper, Fig. 7."""
+"""Measured and simulated outputs, with the inputs below (paper, Fig. 7)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from gbid.validate import Validation
 
-# Light and thick below dark, thin and dashed: told apart in grey, too.
+# A thin dark dashed line on a thick light line: they differ also in grey.
 _MEASURED: dict[str, Any] = {"color": "#9e9e9e", "linewidth": 2.6, "linestyle": "-"}
 _SIMULATED: dict[str, Any] = {"color": "#0072b2", "linewidth": 1.3, "linestyle": (0, (4, 1.5))}
 _INPUTS: tuple[dict[str, Any], ...] = (
@@ -38,26 +38,26 @@ _PANEL_INCHES, _FRAME_INCHES = 1.35, 0.95
 def response_figure(
     validation: Validation, *, from_s: float | None = None, to_s: float | None = None, title: str | None = None
 ) -> Figure:
-    """Draw measured and simulated outputs with the inputs below, as the paper's Fig. 7.
+    """Draw measured and simulated outputs, with the inputs below (Fig. 7).
 
     Parameters
     ----------
     validation : Validation
-        From `gbid.cross_validate`.
+        Result of `gbid.cross_validate`.
     from_s, to_s : float, optional
-        The part shown [s]; the whole recording when left out.
+        Start and end of the part shown [s]; the whole recording when left out.
     title : str, optional
-        In place of operating point and names of the recordings.
+        Title of the figure; operating point and names of the recordings when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
-        One panel per output, one for the inputs.
+        Figure with a panel for each output and one for the inputs.
 
     Raises
     ------
     UsageError
-        When the part shown holds fewer than two samples.
+        When the part shown has fewer than two samples.
     """
     with mpl.rc_context(fname=STYLE):
         n_panels = len(validation.output_names) + (1 if validation.input_names else 0)
@@ -73,19 +73,21 @@ def response_figure(
 def plot_response(
     validation: Validation, axes: Sequence[Axes], *, from_s: float | None = None, to_s: float | None = None
 ) -> None:
-    """Draw into axes of one's own: one for each output, then one for the inputs if there is one more.
+    """Draw measured and simulated outputs, and the inputs, into given axes.
 
     Parameters
     ----------
     validation : Validation
+        Result of `gbid.cross_validate`.
     axes : sequence of matplotlib Axes
+        Axes for each output. Further axes, if given, show the inputs.
     from_s, to_s : float, optional
-        The part shown [s].
+        Start and end of the part shown [s]; the whole recording when left out.
 
     Raises
     ------
     UsageError
-        When the part shown holds fewer than two samples, or there are too few axes.
+        When the part shown has fewer than two samples, or when there are too few axes.
     """
     shown = _part(validation.time, from_s, to_s)
     time = validation.time[shown]
@@ -118,7 +120,7 @@ def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
 
 
 def _legend_above(ax: Axes) -> None:
-    """Put the legend above the panel, between its two titles, where it covers no curve."""
+    """Draw the legend above the panel, between its two titles, so that it covers no curve."""
     ax.legend(
         loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, borderaxespad=0.0, borderpad=0.2, handlelength=2.6
     )
@@ -137,7 +139,7 @@ def _part(time: FloatArray, from_s: float | None, to_s: float | None) -> BoolArr
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:
-    """Factor and label: positions in micrometres, all others as they are."""
+    """Return factor and label of a unit: micrometres for positions, other units unchanged."""
     return (1e6, "µm") if unit == "m" else (1.0, unit or "-")
 
 
@@ -157,7 +159,7 @@ _ZOOM = (1.2, 1.4)  # part of the recording that Fig. 7 shows [s]
 
 
 def _shown(results: Results) -> Validation:
-    """Fit of the bearing on its own recording: of the paper's operating point, or the first."""
+    """Return the validation of a bearing model on its own recording, at the paper's operating point or the first."""
     name = results.fit_with("rotor_bearing")
     there = [model for model in fit_models(results.experiment, name) if fit_path(results.job, name, model).is_file()]
     if not there:

@@ -1,4 +1,4 @@
-"""The static map from piezo positions to disc position: paper, Fig. 5."""
+"""Static map from piezo positions to disc position (paper, Fig. 5)."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ _MICROMETRES = 1e6
 
 @dataclass(frozen=True, eq=False)
 class StaticSweep:
-    """Positions at rest while one input goes up and down its staircase.
+    """Positions at rest along a rising and falling staircase of one input.
 
     Attributes
     ----------
     axis : {"x", "y"}
-        Of the input.
+        Axis of the input.
     u : (n,) array
         Difference of piezo positions [m].
     p : (n, 2) array
         Disc position [m].
     rising : (n,) boolean array
-        Whether the step went up.
+        Mask of the rising steps.
     gain, offset : (2,) array
-        Of the lines ``p = gain u + offset``.
+        Gain [m/m] and offset [m] of the lines ``p = gain u + offset``.
     """
 
     axis: str
@@ -59,20 +59,21 @@ class StaticSweep:
 
 @styled
 def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = None, title: str = "") -> Figure:
-    """Draw the positions at rest over the inputs, with straight lines through them.
+    """Draw the positions at rest over the inputs, with fitted straight lines.
 
     Parameters
     ----------
     data : sequence of StaticSweep
-        One for each input; from `static_map_data`.
+        Sweep of each input, from `static_map_data`.
     ax : sequence of matplotlib Axes, optional
-        Outputs down, inputs across; a new figure when left out.
+        Axes with a row for each output and a column for each input; a new figure when left out.
     title : str
-        Operating point.
+        Title of the figure, as the operating point.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     columns = len(data)
     width = TWO_COLUMNS if columns > 1 else ONE_COLUMN
@@ -108,17 +109,17 @@ def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = Non
 
 
 def static_map_data(result: StaticMap) -> list[StaticSweep]:
-    """Give the panels of a static map, a sweep for each input, for `plot_static_map` (Fig. 5).
+    """Return the sweeps of a static map for `plot_static_map` (Fig. 5).
 
     Parameters
     ----------
     result : StaticMap
-        Of two outputs; positions are those about the equilibrium, and the lines those of the result.
+        Static map with two outputs. Its positions are relative to the equilibrium; the lines have its gains.
 
     Returns
     -------
     list of StaticSweep
-        Of inputs that moved.
+        Sweep of each input that moves.
     """
     sweeps = []
     for j, source in enumerate(result.input_names):

@@ -1,1 +1,1 @@
-"""Figures of the model over pressure and speed."""
+"""Figures of the LPV model over pressure and speed."""

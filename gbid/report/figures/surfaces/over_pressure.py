@@ -1,4 +1,4 @@
-"""Quantities of the model over injection pressure, a curve for each speed: paper, Figs. 14 to 18."""
+"""Quantities of the LPV model over injection pressure, with a curve for each speed (paper, Figs. 14 to 18)."""
 
 from __future__ import annotations
 
@@ -40,21 +40,24 @@ _MODES = {"frequency": "omega", "damping": "zeta"}
 
 @dataclass(frozen=True, eq=False)
 class PressurePanel:
-    """One quantity over injection pressure.
+    """Quantity over injection pressure, with estimates.
 
     Attributes
     ----------
     name : str
         Key of the quantity, as ``frequency_1``.
     label : str
-        What the axis says, unit included.
+        Label of the axis, with unit.
     pressure_bar : (n_pressures,) array
+        Injection pressures [bar].
     speed_rpm : (n_speeds,) array
+        Speeds [rpm].
     values : (n_speeds, n_pressures) array
-        Of the model.
+        Values of the model.
     points : (n_points, 2) array
         Pressure [bar] and speed [rpm] of the estimates.
     estimates : (n_points,) array
+        Estimates at these points.
     """
 
     name: str
@@ -74,23 +77,25 @@ def delays_data(
     points: npt.ArrayLike | None = None,
     estimates: Estimates | None = None,
 ) -> list[PressurePanel]:
-    """Give the delays in samples (Figs. 14, 15).
+    """Return the delays in samples (Figs. 14, 15).
 
     Parameters
     ----------
     model : LPVModel
+        LPV model.
     sample_time : float
-        Of the recordings [s].
+        Sample time of the recordings [s].
     speeds_rpm : sequence of float
+        Speeds [rpm].
     points : (n_points, 2) array, optional
         Pressure [bar] and speed [rpm] of the estimates.
     estimates : dict of str to (n_points,) array, optional
-        ``tau_x``, ``tau_y`` [s].
+        Estimates of ``tau_x``, ``tau_y`` [s].
 
     Returns
     -------
     list of PressurePanel
-        ``tau_x`` and ``tau_y`` [samples].
+        Panels of ``tau_x`` and ``tau_y`` [samples].
     """
     kilohertz = 1e-3 / sample_time
     labels = {f"tau_{axis}": f"$\\tau_{axis}$ [samples at {kilohertz:g} kHz]" for axis in "xy"}
@@ -111,27 +116,30 @@ def modes_data(
     points: npt.ArrayLike | None = None,
     estimates: Estimates | None = None,
 ) -> list[PressurePanel]:
-    """Give natural frequencies or damping factors of the two modes of the shaft (Figs. 16, 17).
+    """Return natural frequencies or damping factors of the two modes of the shaft (Figs. 16, 17).
 
     Parameters
     ----------
     model : LPVModel
+        LPV model.
     what : {"frequency", "damping"}
+        Quantity.
     speeds_rpm : sequence of float
+        Speeds [rpm].
     points : (n_points, 2) array, optional
         Pressure [bar] and speed [rpm] of the estimates.
     estimates : dict of str to (n_points,) array, optional
-        ``frequency_1``, ``frequency_2`` [Hz], or ``damping_1``, ``damping_2``.
+        Estimates of ``frequency_1``, ``frequency_2`` [Hz], or of ``damping_1``, ``damping_2``.
 
     Returns
     -------
     list of PressurePanel
-        A panel for each mode, by rising frequency.
+        Panel of each mode, in ascending order of frequency.
 
     Raises
     ------
     UsageError
-        Where the model has fewer than two modes.
+        When the model has fewer than two modes at a point.
     """
     greek, unit, index = ("\\omega", "Hz", 0) if what == "frequency" else ("\\zeta", "-", 1)
     word = "natural frequency" if what == "frequency" else "damping factor"
@@ -153,20 +161,23 @@ def static_gains_data(
     points: npt.ArrayLike | None = None,
     estimates: Estimates | None = None,
 ) -> list[PressurePanel]:
-    """Give the static gains from u to p (Fig. 18).
+    """Return the static gains from u to p (Fig. 18).
 
     Parameters
     ----------
     model : LPVModel
+        LPV model.
     speeds_rpm : sequence of float
+        Speeds [rpm].
     points : (n_points, 2) array, optional
         Pressure [bar] and speed [rpm] of the estimates.
     estimates : dict of str to (n_points,) array, optional
-        ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
+        Estimates of ``g_xx``, ``g_xy``, ``g_yx``, ``g_yy`` [m/m].
 
     Returns
     -------
     list of PressurePanel
+        Panel of each gain.
     """
     labels = {f"g_{i}{j}": f"static gain $g_{{{i}{j}}}$ [m/m]" for i in "xy" for j in "xy"}
 
@@ -179,18 +190,19 @@ def static_gains_data(
 
 @styled
 def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw curves of the model, one for each speed, with the estimates as marks of the same colour.
+    """Draw a curve of the model for each speed, with the estimates as marks of the same colour.
 
     Parameters
     ----------
     data : sequence of PressurePanel
-        From `delays_data`, `modes_data` or `static_gains_data`.
+        Panels of `delays_data`, `modes_data` or `static_gains_data`.
     ax : sequence of matplotlib Axes, optional
-        One for each panel; a new figure when left out.
+        Axes for each panel; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
     """
     rows = -(-len(data) // 2)
     figure, axes = panels(ax, rows, min(2, len(data)), size=(TWO_COLUMNS, 0.5 + 2.15 * rows), sharex=True)
@@ -238,14 +250,21 @@ def _panels(
 def fit_over_pressure_data(
     fit: LPVFit, what: Literal["delay", "frequency", "damping", "gain"], *, sample_time: float = 2e-4
 ) -> list[PressurePanel]:
-    """Give delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
+    """Return delays, modes or static gains with the estimates, for `plot_over_pressure` (Figs. 14 to 18).
 
     Parameters
     ----------
     fit : LPVFit
+        Fit of an LPV model.
     what : {"delay", "frequency", "damping", "gain"}
+        Quantity.
     sample_time : float
-        For delays [s].
+        Unit of the delays: sample time of the recordings [s].
+
+    Returns
+    -------
+    list of PressurePanel
+        Panels of the quantity.
     """
     found = dict(zip(CHARACTERISTICS, fit.characteristics[0].T, strict=True))
     points = fit.estimates.points

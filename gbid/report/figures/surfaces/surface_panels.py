@@ -1,4 +1,4 @@
-"""Key parameters over injection pressure and speed, with the estimates on stems: paper, Figs. 11 to 13."""
+"""Key parameters over injection pressure and speed, with the estimates on stems (paper, Figs. 11 to 13)."""
 
 from __future__ import annotations
 
@@ -40,19 +40,24 @@ _PAIRS = ("xx", "xy", "yx", "yy")
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """One parameter over the operating range.
+    """Key parameter over the operating range, with estimates.
 
     Attributes
     ----------
     name, unit : str
+        Name and unit of the parameter.
     pressure_bar : (n_pressures,) array
+        Injection pressures [bar].
     speed_rpm : (n_speeds,) array
+        Speeds [rpm].
     values : (n_pressures, n_speeds) array
+        Values of the model.
     points : (n_points, 2) array
         Operating points of the estimates: pressure [bar], speed [rpm].
     estimates : (n_points,) array
+        Estimates at these points.
     at_points : (n_points,) array
-        The surface there.
+        Values of the model at these points.
     """
 
     name: str
@@ -73,27 +78,30 @@ def surfaces_data(
     estimates: Mapping[str, npt.ArrayLike] | None = None,
     n: int = 21,
 ) -> list[Surface]:
-    """Evaluate key parameters over a model's domain.
+    """Return key parameters over the domain of a model.
 
     Parameters
     ----------
     model : LPVModel
+        LPV model.
     names : sequence of str
-        Key parameters.
+        Names of the key parameters.
     points : (n_points, 2) array, optional
         Pressure [bar] and speed [rpm] of the estimates.
     estimates : dict of str to (n_points,) array, optional
+        Estimates by name of the parameter.
     n : int
-        Grid points in each direction.
+        Number of grid points in each direction.
 
     Returns
     -------
     list of Surface
+        Surface of each parameter.
 
     Raises
     ------
     UsageError
-        For a name that is no key parameter; for estimates that do not fit the points.
+        When a name is not that of a key parameter, or when the numbers of estimates and points differ.
     """
     pressure, speed = (np.linspace(*ends, n) for ends in (model.domain.pressure_bar, model.domain.speed_rpm))
     grid = model.key_parameters(pressure[:, None], speed[None, :])
@@ -115,23 +123,26 @@ def surfaces_data(
 
 @styled
 def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> Figure:
-    """Draw a surface for each parameter; stems lead to the estimates, filled above the surface and open below.
+    """Draw a surface for each parameter, with the estimates on stems.
+
+    Marks of the estimates are filled above the surface and open below it.
 
     Parameters
     ----------
     data : sequence of Surface
-        From `surfaces_data`.
+        Surfaces of `surfaces_data`.
     ax : sequence of three-dimensional Axes, optional
-        One for each surface; a new figure when left out.
+        Axes for each surface; a new figure when left out.
 
     Returns
     -------
     matplotlib.figure.Figure
+        The figure.
 
     Raises
     ------
     UsageError
-        When axes that were given are flat, or too few.
+        When the axes are two-dimensional, or when there are too few.
     """
     columns = min(2, len(data))
     rows = -(-len(data) // columns)
@@ -182,12 +193,19 @@ def _few() -> Any:
 
 
 def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surface]:
-    """Give stiffness, damping or input gain with the estimates, for `plot_surfaces` (Figs. 11 to 13).
+    """Return stiffness, damping or input gain with the estimates, for `plot_surfaces` (Figs. 11 to 13).
 
     Parameters
     ----------
     fit : LPVFit
+        Fit of an LPV model.
     letter : {"k", "d", "b"}
+        First letter of the parameters: stiffness, damping or input gain.
+
+    Returns
+    -------
+    list of Surface
+        Surfaces of the four parameters.
     """
     names = [f"{letter}_{pair}" for pair in _PAIRS]
     estimates = dict(zip(KEY_PARAMETERS, fit.estimates.values.T, strict=True))
