@@ -86,7 +86,7 @@ def gauss_newton_of(problem: Shooting, iterate: Iterate) -> list[PartHessian]:
 
 
 def held_up(left_out: FloatArray, gauss_newton: FloatArray) -> FloatArray:
-    """Return a correction of Gauss-Newton whose sum with it is convex: negative curvatures change their sign.
+    """Return a correction that keeps the Gauss-Newton Hessian convex: negative curvatures change their sign.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ class LoopController:
     Attributes
     ----------
     continuous, sampled : LinearModel
-        The controller in continuous time, and as it runs at the sample time of the rig.
+        Controllers in continuous time and at the sample time of the rig.
     key : str
         Digest of its source, for content keys.
     """
