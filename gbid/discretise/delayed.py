@@ -52,11 +52,13 @@ def delayed_taps(A: Any, b: Any, delay: Any, sample_time: float, hold: Hold) -> 
     UsageError
         When the delay is negative.
 
-    Notes ----- With ``delay = d h + e``, ``0 <= e < h``, the delayed input changes to its next piece at ``e`` within
-    each sample. After ``e`` it is on the piece that starts at ``u[k - d]``, before ``e`` on the one that starts at
-    ``u[k - d - 1]``. Each piece contributes ``int_0^t e^(A s) ds = t phi_1(A t)`` and ``int_0^t e^(A (t - s)) s ds =
-    t^2 phi_2(A t)``; the first piece is then multiplied by ``e^(A (h - e))``. The result is a continuous function of
-    the delay, also at whole samples.
+    Notes
+    -----
+    With ``delay = d h + e``, ``0 <= e < h``, the delayed input changes to its next piece at ``e`` within each sample.
+    After ``e`` it is on the piece that starts at ``u[k - d]``, before ``e`` on the one that starts at ``u[k - d - 1]``.
+    Each piece contributes ``int_0^t e^(A s) ds = t phi_1(A t)`` and ``int_0^t e^(A (t - s)) s ds = t^2 phi_2(A t)``;
+    the first piece is then multiplied by ``e^(A (h - e))``. The result is a continuous function of the delay, also at
+    whole samples.
     """
     h = sample_time
     seconds = float(delay.value[0, 0]) if isinstance(delay, Dual) else float(delay)
