@@ -31,11 +31,13 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
     UsageError
         When the order is below 1.
 
-    Notes ----- The starting point is ``e^(-s) = (1 - tanh(s/2)) / (1 + tanh(s/2))``. Lambert's continued fraction
-    ``tanh(s/2) = 1/(2/s + 1/(6/s + 1/(10/s + ...)))``, truncated after n terms, gives the [n/n] Pade approximation.
-    The continued fraction is a ladder of integrators with the gains 2, 6, 10, ..., 4n - 2. Its state-space matrices
-    have small integers as entries, all divided by tau. So they are well scaled at every order, while the coefficients
-    of the Pade polynomials grow like factorials.
+    Notes
+    -----
+    The starting point is ``e^(-s) = (1 - tanh(s/2)) / (1 + tanh(s/2))``. Lambert's continued fraction ``tanh(s/2) =
+    1/(2/s + 1/(6/s + 1/(10/s + ...)))``, truncated after n terms, gives the [n/n] Pade approximation. The continued
+    fraction is a ladder of integrators with the gains 2, 6, 10, ..., 4n - 2. Its state-space matrices have small
+    integers as entries, all divided by tau. So they are well scaled at every order, while the coefficients of the Pade
+    polynomials grow like factorials.
     """
     if order < 1:
         raise UsageError(f"Pade order {order}; it must be at least 1")

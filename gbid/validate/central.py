@@ -131,12 +131,14 @@ def nominal_actuator(models: FitTable | Sequence[FitResult], fit: str | None = N
     DataError
         When no fit converged.
 
-    Notes ----- Poles and gains scatter by factors, so their logarithms are compared. The two poles of an axis are
-    sorted, because a fit may find them in either order. Each column is centred by its median and scaled by its median
-    absolute deviation; outliers change neither. The nominal model is the medoid: the model with the smallest sum of
-    distances to all others (Kaufman and Rousseeuw, *Finding Groups in Data*, 1990). So it is one of the identified
-    models, as No. 39 in the paper, and its parameters belong together; this does not hold for a mean or median of
-    each parameter. Distances are not squared, so far models have little effect.
+    Notes
+    -----
+    Poles and gains scatter by factors, so their logarithms are compared. The two poles of an axis are sorted, because a
+    fit may find them in either order. Each column is centred by its median and scaled by its median absolute deviation;
+    outliers change neither. The nominal model is the medoid: the model with the smallest sum of distances to all others
+    (Kaufman and Rousseeuw, *Finding Groups in Data*, 1990). So it is one of the identified models, as No. 39 in the
+    paper, and its parameters belong together; this does not hold for a mean or median of each parameter. Distances are
+    not squared, so far models have little effect.
 
     The scale of a column is at least the median standard deviation of its estimates, so that a deviation within the
     uncertainty of the estimates is not an outlier. A parameter is an outlier when ``|z| > 3.5`` (Iglewicz and Hoaglin

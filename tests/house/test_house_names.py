@@ -46,3 +46,10 @@ def test_words_that_the_field_does_not_use(word: str) -> None:
     used = re.compile(rf"\b{word}", re.IGNORECASE)
     found = [str(path.relative_to(ROOT)) for path in MODULES if used.search(path.read_text(encoding="utf-8"))]
     assert [name for name in found if name not in READS_OLD_FILES] == []
+
+
+def test_sections_of_docstrings_have_lines_of_their_own() -> None:
+    """A line break lost in ``Notes`` or ``Raises`` breaks the page of the API, and nothing else would notice."""
+    lost = re.compile(r"(Parameters|Attributes|Returns|Yields|Raises|Notes|Examples) -{3,}")
+    found = [str(path.relative_to(ROOT)) for path in MODULES if lost.search(path.read_text(encoding="utf-8"))]
+    assert found == []

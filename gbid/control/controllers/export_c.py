@@ -50,9 +50,11 @@ def export_c(
     DataError
         When the files cannot be written.
 
-    Notes ----- The step function computes the outputs from the new positions before it updates the states, so that
-    the outputs are available early. The states do not depend on the outputs, so saturation causes no wind-up. The
-    code allocates no memory, calls no library and has no global variables.
+    Notes
+    -----
+    The step function computes the outputs from the new positions before it updates the states, so that the outputs are
+    available early. The states do not depend on the outputs, so saturation causes no wind-up. The code allocates no
+    memory, calls no library and has no global variables.
     """
     source = Path(path)
     header = source.with_suffix(".h")

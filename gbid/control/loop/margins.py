@@ -122,8 +122,10 @@ def loop_margins(loop: Sensitivities, at: Side = "output") -> tuple[LoopMargins,
     tuple of LoopMargins
         One per channel; for an unstable loop the gains are (1, 1) and the others 0.
 
-    Notes ----- Opened at channel i, the loop gain is :math:`L_i = 1 - 1/S_{ii}`. With the sign of the paper the loop
-    becomes unstable where :math:`g\, e^{\mathrm i\varphi} L_i = 1`.
+    Notes
+    -----
+    Opened at channel i, the loop gain is :math:`L_i = 1 - 1/S_{ii}`. With the sign of the paper the loop becomes
+    unstable where :math:`g\, e^{\mathrm i\varphi} L_i = 1`.
     """
     if not loop.is_stable():
         return (LoopMargins((1.0, 1.0), 0.0, 0.0),) * _channels(loop, at)

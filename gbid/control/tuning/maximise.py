@@ -74,10 +74,11 @@ def maximise_damping(
     UsageError
         When a function does not take the gains or does not return a square matrix, or when bounds do not fit.
 
-    Notes ----- A global stage finds regions of attraction of local optima. In each of them local optimisation takes
-    steps that use all eigenvalues near the worst one (see `gbid.control.tuning.search.sqp`). A pair of eigenvalues
-    that meet is represented by its mean and squared distance, because these have derivatives there and the
-    eigenvalues have not.
+    Notes
+    -----
+    A global stage finds regions of attraction of local optima. In each of them local optimisation takes steps that use
+    all eigenvalues near the worst one (see `gbid.control.tuning.search.sqp`). A pair of eigenvalues that meet is
+    represented by its mean and squared distance, because these have derivatives there and the eigenvalues have not.
 
     Examples
     --------

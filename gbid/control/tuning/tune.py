@@ -120,9 +120,11 @@ def tune(
         When a point lies outside the domain of the model, when limits or bounds are not allowed, or when a gain is
         unknown.
 
-    Notes ----- Damping alone is not a suitable objective. Positive feedback reduces the stiffness, and a damping
-    factor does not show the slow real pole that results. The optimum over all points without a limit on S_o is at the
-    boundary of static instability. For such a design the notes of the result give the distance to it.
+    Notes
+    -----
+    Damping alone is not a suitable objective. Positive feedback reduces the stiffness, and a damping factor does not
+    show the slow real pole that results. The optimum over all points without a limit on S_o is at the boundary of
+    static instability. For such a design the notes of the result give the distance to it.
 
     Examples
     --------
