@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
@@ -116,3 +116,29 @@ FIT_CHECKS: tuple[Check, ...] = (
     signals_are_there,
 )
 """Checks of the fits."""
+
+
+def a_fit_is_named(experiment: Experiment, where: Location, name: str, needed: Sequence[str], remedy: str) -> Found:
+    """Yield problems of a section that starts from the models of a fit, one per recording.
+
+    Parameters
+    ----------
+    experiment : Experiment
+    where : Location
+        Entry with the name of the fit.
+    name : str
+        Fit that is named there.
+    needed : sequence of str
+        Parameters that its structure must have.
+    remedy : str
+        Which fit to name instead.
+    """
+    if name not in experiment.spec.fits:
+        yield where, f"no fit of this name; {nearest(name, experiment.spec.fits)}"
+        return
+    if experiment.spec.fits[name].together:
+        yield where, f"{name} is one model for all recordings; name a fit per recording"
+    structure = structure_or_none(experiment, name)
+    missing = [n for n in needed if n not in {q.name for q in structure.parameters}] if structure else []
+    if missing:
+        yield where, f"{name} has no parameters {', '.join(missing)}; {remedy}"

@@ -6,8 +6,8 @@ import numpy as np
 
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.problems import Found, Location, nearest
-from gbid.experiment.stages.fit.structures import structure_or_none
+from gbid.experiment.problems import Found, Location
+from gbid.experiment.stages.fit.checks import a_fit_is_named
 from gbid.experiment.stages.lpv.plan import lpv_actuators
 from gbid.lpv.surface_fit.terms import check_points, chosen_exponents
 from gbid.structure import KEY_PARAMETERS
@@ -19,15 +19,9 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     if section is None:
         return
     where: Location = ("lpv", "fit")
+    yield from a_fit_is_named(experiment, where, section.fit, KEY_PARAMETERS, "name a fit of rotor_bearing or plant")
     if section.fit not in experiment.spec.fits:
-        yield where, f"no fit of this name; {nearest(section.fit, experiment.spec.fits)}"
         return
-    if experiment.spec.fits[section.fit].together:
-        yield where, f"{section.fit} is one model for all recordings; name a fit per recording"
-    structure = structure_or_none(experiment, section.fit)
-    missing = [n for n in KEY_PARAMETERS if n not in {q.name for q in structure.parameters}] if structure else []
-    if missing:
-        yield where, f"{section.fit} has no parameters {', '.join(missing)}; name a fit of rotor_bearing or plant"
     try:
         lpv_actuators(experiment, section)
     except GbidError as error:
