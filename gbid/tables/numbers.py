@@ -25,6 +25,11 @@ def exponent_of(value: float) -> int:
     return 3 * floor(log10(abs(value)) / 3)
 
 
+def finite_or_none(value: float) -> float | None:
+    """Return a number, or None where it is not finite: JSON has no other word for a missing one."""
+    return float(value) if isfinite(value) else None
+
+
 def probability(p: float) -> str:
     """Return a probability as text with two digits; very small ones as an upper bound.
 

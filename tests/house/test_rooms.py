@@ -2,9 +2,9 @@
 
 import ast
 from collections import defaultdict
-from pathlib import Path
 
-ROOT = Path(__file__).parents[2]
+from places import ROOT
+
 LARGEST_FOLDER, LONGEST_MODULE = 12, 350
 MANY_ALLOWED = {"gbid/cli"}
 """One file a verb."""

@@ -17,6 +17,7 @@ from gbid.report.paper.numbers import PaperNumber, paper_numbers
 from gbid.report.reader import Results
 from gbid.report.reader.published import POINT, published_controller
 from gbid.structure import KEY_PARAMETERS
+from gbid.tables.numbers import finite_or_none
 
 Verdict = Literal["within", "explained", "off", "missing"]
 Own = tuple[float, float]
@@ -62,10 +63,10 @@ class ReproductionRow:
             "quantity": n.quantity,
             "unit": n.unit,
             "paper": n.value,
-            "ours": _known(self.ours),
-            "ours_std": _known(self.std),
-            "deviation": _known(self.deviation),
-            "deviation_percent": _known(100 * self.deviation / n.value) if n.value else None,
+            "ours": finite_or_none(self.ours),
+            "ours_std": finite_or_none(self.std),
+            "deviation": finite_or_none(self.deviation),
+            "deviation_percent": finite_or_none(100 * self.deviation / n.value) if n.value else None,
             "scatter": n.scatter,
             "scatter_from": n.scatter_from,
             "at_most": n.at_most,
@@ -244,7 +245,3 @@ def counts(rows: list[ReproductionRow]) -> Mapping[str, int]:
     return {
         verdict: sum(row.verdict == verdict for row in rows) for verdict in ("within", "explained", "off", "missing")
     }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if isfinite(value) else None

@@ -11,6 +11,7 @@ import numpy as np
 from gbid.errors import UsageError
 from gbid.identify import FitResult
 from gbid.structure import LinearModel
+from gbid.tables.numbers import finite_or_none
 
 Row = dict[str, Any]
 
@@ -41,9 +42,9 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
             {
                 "parameter": name,
                 "estimate": estimate,
-                "std": _known(std),
-                "std_white": _known(white[name]),
-                "std_robust": _known(robust[name]),
+                "std": finite_or_none(std),
+                "std_white": finite_or_none(white[name]),
+                "std_robust": finite_or_none(robust[name]),
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,
@@ -66,9 +67,9 @@ def mode_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
         {
             "mode": i + 1,
             "frequency_hz": frequency,
-            "frequency_std_hz": _known(result.modes_std[i, 0]),
+            "frequency_std_hz": finite_or_none(result.modes_std[i, 0]),
             "damping": damping,
-            "damping_std": _known(result.modes_std[i, 1]),
+            "damping_std": finite_or_none(result.modes_std[i, 1]),
             "true_frequency_hz": true[i][0] if true else None,
             "true_damping": true[i][1] if true else None,
         }
@@ -89,7 +90,7 @@ def gain_rows(result: FitResult, truth: LinearModel | None) -> list[Row]:
             "output": output,
             "input": source,
             "gain": float(gain[i, j]),
-            "std": _known(result.static_gain_std[i, j]),
+            "std": finite_or_none(result.static_gain_std[i, j]),
             "truth": None if true is None else float(true[i, j]),
         }
         for i, output in enumerate(model.output_names)
@@ -109,7 +110,7 @@ def fit_percent_rows(result: FitResult) -> list[Row]:
 def whiteness_rows(result: FitResult) -> list[Row]:
     """Return the p-value of the whiteness test of each output."""
     return [
-        {"output": output, "p_value": _known(p)}
+        {"output": output, "p_value": finite_or_none(p)}
         for output, p in zip(result.model.output_names, result.whiteness, strict=True)
     ]
 
@@ -118,7 +119,7 @@ def multi_start_row(result: FitResult) -> Row | None:
     """Return the counts of the fits from several starts; None for a fit from one start."""
     if result.multi_start is None:
         return None
-    return {**asdict(result.multi_start), "spread": _known(result.multi_start.spread)}
+    return {**asdict(result.multi_start), "spread": finite_or_none(result.multi_start.spread)}
 
 
 def fit_document(result: FitResult, truth: Mapping[str, float], true_model: LinearModel | None) -> Row:
@@ -131,9 +132,9 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "iterations": result.iterations,
         "wall_time_s": result.wall_time_s,
         "loss": result.loss,
-        "aic": _known(result.aic),
-        "fpe": _known(result.fpe),
-        "condition": _known(result.condition),
+        "aic": finite_or_none(result.aic),
+        "fpe": finite_or_none(result.fpe),
+        "condition": finite_or_none(result.condition),
         "trusted": result.trusted,
         "whiteness": whiteness_rows(result),
         "multi_start": multi_start_row(result),
@@ -144,7 +145,3 @@ def fit_document(result: FitResult, truth: Mapping[str, float], true_model: Line
         "fit_percent": fit_percent_rows(result),
         "notes": list(result.notes),
     }
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

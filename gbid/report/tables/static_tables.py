@@ -6,7 +6,7 @@ import numpy as np
 
 from gbid.characterise import PiezoCurve, StaticMap
 from gbid.report.tables.fit_document import Row
-from gbid.tables.numbers import shown_unit
+from gbid.tables.numbers import finite_or_none, shown_unit
 from gbid.tables.table import Column, Table, formatted
 
 
@@ -33,14 +33,14 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
             "recordings": [result.name],
             "channel": result.channel,
             "units": list(result.units),
-            "hysteresis": _known(result.hysteresis),
-            "hysteresis_std": _known(result.hysteresis_std),
-            "hysteresis_at": _known(result.hysteresis_at),
-            "hysteresis_share": _known(result.hysteresis_share),
+            "hysteresis": finite_or_none(result.hysteresis),
+            "hysteresis_std": finite_or_none(result.hysteresis_std),
+            "hysteresis_at": finite_or_none(result.hysteresis_at),
+            "hysteresis_share": finite_or_none(result.hysteresis_share),
             "range": [float(result.position.min()), float(result.position.max())],
-            "step_gain": _known(float(np.mean(result.step_gain[steps]))) if steps.any() else None,
-            "uniformity": _known(result.uniformity),
-            "creep": _known(float(np.mean(result.creep[steps]))) if steps.any() else None,
+            "step_gain": finite_or_none(float(np.mean(result.step_gain[steps]))) if steps.any() else None,
+            "uniformity": finite_or_none(result.uniformity),
+            "creep": finite_or_none(float(np.mean(result.creep[steps]))) if steps.any() else None,
             "steps": len(result.step),
             "saturated_steps": [int(i) + 1 for i in np.flatnonzero(result.saturated)],
             "notes": list(result.notes),
@@ -58,14 +58,14 @@ def static_document(name: str, result: StaticMap | PiezoCurve) -> Row:
             {
                 "output": output,
                 "input": source,
-                "gain": _known(result.gain[i, j]),
-                "std": _known(result.gain_std[i, j]),
-                "lower_95": _known(interval[i, j, 0]),
-                "upper_95": _known(interval[i, j, 1]),
-                "rms": _known(result.rms[i, j]),
-                "largest": _known(result.largest[i, j]),
-                "hysteresis": _known(result.hysteresis[i, j]),
-                "hysteresis_std": _known(result.hysteresis_std[i, j]),
+                "gain": finite_or_none(result.gain[i, j]),
+                "std": finite_or_none(result.gain_std[i, j]),
+                "lower_95": finite_or_none(interval[i, j, 0]),
+                "upper_95": finite_or_none(interval[i, j, 1]),
+                "rms": finite_or_none(result.rms[i, j]),
+                "largest": finite_or_none(result.largest[i, j]),
+                "hysteresis": finite_or_none(result.hysteresis[i, j]),
+                "hysteresis_std": finite_or_none(result.hysteresis_std[i, j]),
             }
             for i, output in enumerate(result.output_names)
             for j, source in enumerate(result.input_names)
@@ -111,7 +111,3 @@ def static_table(document: Row) -> Table:
 
 def _times(factor: float, value: float | None) -> float | None:
     return None if value is None else factor * value
-
-
-def _known(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
