@@ -24,7 +24,7 @@ from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.result import FitResult
-from gbid.identify.start import start_values
+from gbid.identify.start.start_values import start_values
 from gbid.identify.status import FitStatus
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names

@@ -1,0 +1,1 @@
+"""Start values of a fit from its data."""
