@@ -3,7 +3,7 @@
 from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.fit_store import load_fit, save_fit
-from gbid.identify.multistart import MultiStart, fit_multistart
+from gbid.identify.multistart import Minimum, MultiStart, fit_multistart
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.options import FitOptions
 from gbid.identify.result import FitResult, StartsTried
@@ -18,6 +18,7 @@ __all__ = [
     "FitResult",
     "FitStatus",
     "FitTable",
+    "Minimum",
     "MultiStart",
     "Progress",
     "StartsTried",

@@ -32,8 +32,8 @@ def _from_schema_1(file: h5py.File) -> None:
     )
     hdf5.write_fields(file.create_group("options"), asked)
     if "starts" in options:
-        counts = {key: int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed")}
-        tried = StartsTried(int(options["starts"]), **counts, spread=float(options["starts_spread"]))
+        seed, converged, agreed = (int(options[f"starts_{key}"]) for key in ("seed", "converged", "agreed"))
+        tried = StartsTried(int(options["starts"]), seed, converged, agreed, float(options["starts_spread"]))
         hdf5.write_fields(file.create_group("multi_start"), tried)
     file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
 

@@ -1,8 +1,8 @@
-"""Fits from several starts, for user structures without good start values."""
+"""Fits from several starts, and the distinct minima at which they end."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,8 +13,35 @@ from gbid.brief import brief
 from gbid.errors import UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
+from gbid.identify.status import FitStatus
 from gbid.recording import Recording
 from gbid.structure import Structure
+
+_SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
+_SAME_IN_STD = 0.1  # largest difference of their parameters, in standard deviations
+_SAME_RELATIVE = 1e-4  # the same, as a part of the parameter
+
+
+@dataclass(frozen=True)
+class Minimum:
+    """Point at which one fit or several ended.
+
+    Attributes
+    ----------
+    loss : float
+        Smallest loss of these fits.
+    starts : tuple of int
+        Numbers of the starts that led there; 0 is the structure's own start.
+    status : FitStatus
+        Status of the fit with the smallest loss. Without success, the point may not be a minimum.
+    parameters : dict of str to float
+        Estimates of the fit with the smallest loss.
+    """
+
+    loss: float
+    starts: tuple[int, ...]
+    status: FitStatus
+    parameters: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,15 +51,19 @@ class MultiStart:
     Attributes
     ----------
     best : FitResult
-        Converged fit with the smallest loss; of all fits when none converged. Its `multi_start` counts the others.
+        Fit with the smallest loss, whatever its status. Its `multi_start` counts the others, and a note tells when it
+        did not converge.
     losses : (n_starts,) array
         Losses in the order of the starts, the first from the structure's own start; nan for a start that overflowed.
     converged : (n_starts,) boolean array
         Whether each fit converged.
     same_optimum : int
-        Number of fits that converged to the best loss, within a relative 1e-6.
+        Number of fits that ended at the best loss, within a relative 1e-6.
     spread : float
-        Largest over smallest converged loss; 1 when all are equal.
+        Largest over smallest converged loss; 1 when all are equal, inf when none converged.
+    minima : tuple of Minimum
+        Distinct points at which converged fits ended, by rising loss, and the end of the best fit in any case. Points
+        are distinct when their losses or their determined parameters differ.
     """
 
     best: FitResult
@@ -40,12 +71,15 @@ class MultiStart:
     converged: BoolArray
     same_optimum: int
     spread: float
+    minima: tuple[Minimum, ...]
 
     def __repr__(self) -> str:
         about = (
-            f"{len(self.losses)} starts, {int(self.converged.sum())} converged, {self.same_optimum} to the same optimum"
+            f"{len(self.losses)} starts, {int(self.converged.sum())} converged, {self.same_optimum} ended at the best "
+            f"of {len(self.minima)} minima"
         )
-        return brief(self, about, losses=self.losses, best=f"{self.best.structure}, {self.best.status}")
+        minima = [f"{m.loss:.6g} from {len(m.starts)}" for m in self.minima]
+        return brief(self, about, losses=self.losses, minima=minima, best=f"{self.best.structure}, {self.best.status}")
 
 
 def fit_multistart(
@@ -106,12 +140,70 @@ def fit_multistart(
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
         results.append(fit(structure, recordings, start=drawn, **options))
+    return _summary(results, seed)
+
+
+def _summary(results: Sequence[FitResult], seed: int) -> MultiStart:
     losses = np.array([r.loss for r in results])
     converged = np.array([r.success for r in results])
-    eligible = converged & np.isfinite(losses) if converged.any() else np.isfinite(losses)
-    best = results[int(np.argmin(np.where(eligible, losses, np.inf)))]
-    good = losses[converged & np.isfinite(losses)]
-    same = int((np.abs(good - best.loss) <= 1e-6 * abs(best.loss)).sum())
+    finite = np.isfinite(losses)
+    best = results[int(np.argmin(np.where(finite, losses, np.inf)))]
+    good = losses[converged & finite]
+    same = int((np.abs(losses[finite] - best.loss) <= _SAME_LOSS * abs(best.loss)).sum())
     spread = float(good.max() / good.min()) if len(good) else np.inf
-    tried = StartsTried(starts, seed, int(converged.sum()), same, spread)
-    return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread)
+    minima = distinct_minima(results)
+    tried = StartsTried(
+        len(results),
+        seed,
+        int(converged.sum()),
+        same,
+        spread,
+        tuple(m.loss for m in minima),
+        tuple(len(m.starts) for m in minima),
+    )
+    if not best.success and len(results) > 1:
+        others = f"the smallest loss of a converged one is {good.min():.6g}" if len(good) else "none converged"
+        note = f"this fit has the smallest loss of {len(results)} starts, but did not converge; {others}"
+        best = replace(best, notes=(*best.notes, note))
+    return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread, minima)
+
+
+def distinct_minima(results: Sequence[FitResult]) -> tuple[Minimum, ...]:
+    """Return the distinct points at which fits of one structure to the same data ended, by rising loss.
+
+    Parameters
+    ----------
+    results : sequence of FitResult
+        Fits from different starts, in the order of the starts.
+
+    Returns
+    -------
+    tuple of Minimum
+        Ends of the fits that converged, and the end of the fit with the smallest loss. Fits that ended close to one of
+        these are counted there, whatever their status.
+    """
+    order = [int(i) for i in np.argsort([r.loss for r in results], kind="stable") if np.isfinite(results[i].loss)]
+    groups: list[list[int]] = []
+    for i in order:
+        near = next((group for group in groups if _same_point(results[group[0]], results[i])), None)
+        if near is None:
+            groups.append([i])
+        else:
+            near.append(i)
+    return tuple(
+        Minimum(first.loss, tuple(sorted(group)), first.status, dict(first.parameters))
+        for k, group in enumerate(groups)
+        for first in [next((results[i] for i in group if results[i].success), results[group[0]])]
+        if k == 0 or first.success
+    )
+
+
+def _same_point(one: FitResult, other: FitResult) -> bool:
+    """Return whether two fits ended at the same loss and the same values of the parameters that are determined."""
+    if abs(one.loss - other.loss) > _SAME_LOSS * abs(one.loss):
+        return False
+    for name in one.free:
+        a, b, std = one.parameters[name], other.parameters[name], one.std[name]
+        if np.isfinite(std) and abs(a - b) > max(_SAME_IN_STD * std, _SAME_RELATIVE * abs(a)):
+            return False
+    return True

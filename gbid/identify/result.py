@@ -42,9 +42,13 @@ class StartsTried:
     converged : int
         Number of fits that converged.
     agreed : int
-        Number of fits that converged to the best loss.
+        Number of fits that ended at the best loss.
     spread : float
         Largest over smallest converged loss; inf when none converged.
+    minima : tuple of float
+        Losses of the distinct minima, by rising loss; empty in a file of gbid 0.1.0.
+    minima_starts : tuple of int
+        Number of starts that led to each of these minima.
     """
 
     starts: int
@@ -52,6 +56,8 @@ class StartsTried:
     converged: int
     agreed: int
     spread: float
+    minima: tuple[float, ...] = ()
+    minima_starts: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

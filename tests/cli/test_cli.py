@@ -247,7 +247,7 @@ def test_several_starts_are_told(tmp_path, capsys):
     path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 3, reach: 0.1}"))
     assert gbid("import", path) == 0
     assert gbid("fit", path) == 0
-    assert re.search(r"^starts     3 \(seed 0\): \d converged, \d of them to the best", capsys.readouterr().out, re.M)
+    assert re.search(r"^starts     3 \(seed 0\): \d converged, \d ended at the best", capsys.readouterr().out, re.M)
     assert gbid("fit", path, "--json") == 0
     told = document(capsys.readouterr().out)["fits"][0]["multi_start"]
     assert (told["starts"], told["seed"]) == (3, 0)

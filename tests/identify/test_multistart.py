@@ -1,11 +1,13 @@
 """Fits from several starts."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
 
 from gbid.errors import UsageError
-from gbid.identify import fit, fit_multistart
+from gbid.identify import FitStatus, fit, fit_multistart, load_fit, save_fit
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -45,9 +47,69 @@ def test_the_best_of_several_starts_is_the_truth(rec, result):
 
 def test_the_counts_are_those_of_the_losses(result):
     good = result.losses[result.converged]
-    assert result.same_optimum == (good <= result.best.loss * (1 + 1e-6)).sum() >= 2
+    assert result.same_optimum == (result.losses <= result.best.loss * (1 + 1e-6)).sum() >= 2
     assert result.spread == pytest.approx(good.max() / good.min())
     assert result.spread > 2
+
+
+def test_every_minimum_is_listed_once_with_its_loss(result):
+    losses = [m.loss for m in result.minima]
+    assert losses == sorted(losses)
+    assert losses[0] == result.best.loss
+    assert len(losses) > 1
+    assert all(b > a * (1 + 1e-6) for a, b in pairwise(losses))  # one mode: no loss occurs twice
+    listed = [i for m in result.minima for i in m.starts]
+    assert len(listed) == len(set(listed))
+    assert set(np.flatnonzero(result.converged)) <= set(listed)
+    for m in result.minima:
+        np.testing.assert_allclose(result.losses[list(m.starts)], m.loss, rtol=1e-6)
+        assert m.status.success
+    assert (result.best.multi_start.minima, sum(result.best.multi_start.minima_starts)) == (tuple(losses), len(listed))
+
+
+def test_minima_with_equal_losses_at_other_parameters_are_distinct():
+    """Two equal modes: their names can be exchanged, and the loss stays."""
+    pair = LinearStructure(
+        "pair",
+        [Parameter("a", 0.6, 0.0, 50.0), Parameter("b", 5.0, 0.0, 50.0)],
+        lambda p: {"A": [[-p.a, 0], [0, -p.b]], "B": [[1], [1]], "C": [[1, 1]]},
+    )
+    rec = simulated(pair, {"a": 1.0, "b": 4.0}, levels(400), noise=0.01)
+    found = fit_multistart(pair, rec, starts=8, seed=0)
+    assert found.same_optimum == 8
+    assert [len(m.starts) for m in found.minima] != [8]
+    values = sorted((m.parameters["a"] > m.parameters["b"]) for m in found.minima)
+    assert values == [False, True]
+
+
+def test_the_best_is_the_smallest_loss_whatever_its_status(rec, monkeypatch, tmp_path):
+    """A fit that nearly arrived at the best minimum beats one that converged at a worse one, and says what it is."""
+    limits = iter((100, 4))  # the first converges to a poor minimum; the second is stopped on its way to the best one
+
+    def limited(structure, recordings, **options):
+        return fit(structure, recordings, **{**options, "max_iterations": next(limits)})
+
+    monkeypatch.setattr("gbid.identify.multistart.fit", limited)
+    near = LinearStructure("near", [Parameter("w", 1.0, 0.5, 30.0), *WIDE.parameters[1:]], WIDE.matrices)
+    monkeypatch.setattr(np.random, "default_rng", lambda seed: Fixed())
+    found = fit_multistart(near, rec, starts=2, seed=0, window=None)
+    assert found.converged.tolist() == [True, False]
+    assert found.losses[1] < found.losses[0]
+    assert found.best.loss == found.losses[1]
+    assert not found.best.success
+    assert found.best.status is FitStatus.ITERATION_LIMIT
+    assert "but did not converge" in found.best.notes[-1]
+    assert f"{found.losses[0]:.6g}" in found.best.notes[-1]
+    assert [m.status.success for m in found.minima] == [False, True]
+    save_fit(found.best, tmp_path / "best.h5")
+    assert load_fit(tmp_path / "best.h5").multi_start == found.best.multi_start
+
+
+class Fixed:
+    """Draws that lie near the truth."""
+
+    def uniform(self, low, high):
+        return {0.5: 11.8, 0.005: 0.03}.get(low, 0.15)
 
 
 def test_the_seed_settles_the_starts(rec, result):

@@ -10,6 +10,7 @@ from gbid.tables.numbers import probability
 Line = tuple[str, str]
 """Heading and text of a line."""
 
+_MINIMA = 6  # largest number of minima that are listed
 _FAR = 5.0  # smallest deviation from the truth, in standard deviations, that noise does not explain
 
 
@@ -75,9 +76,15 @@ def start_line(document: Row) -> str:
 
 
 def starts_line(row: Row) -> str:
-    """Return the number of starts that led to the same optimum, as text."""
+    """Return the number of starts that led to the best loss, and the minima with their losses, as text."""
     spread = "-" if row["spread"] is None else f"{row['spread']:.4g}"
-    return (
-        f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} of them to the best; "
+    text = (
+        f"{row['starts']} (seed {row['seed']}): {row['converged']} converged, {row['agreed']} ended at the best; "
         f"largest over smallest loss {spread}"
     )
+    minima = list(zip(row["minima"], row["minima_starts"], strict=True))
+    if len(minima) < 2:
+        return text
+    shown = ", ".join(f"{loss:.5g} ({count})" for loss, count in minima[:_MINIMA])
+    more = f", {len(minima) - _MINIMA} more" if len(minima) > _MINIMA else ""
+    return f"{text}; {len(minima)} minima, loss (starts): {shown}{more}"
