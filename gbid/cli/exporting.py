@@ -1,61 +1,69 @@
-"""`gbid export`: models for other programs."""
+"""`gbid export`: models and controllers for other programs."""
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from gbid.cli.completion import complete_source
 from gbid.cli.guard import guarded
 from gbid.cli.options import AsJson, Debug, Results
+from gbid.exporters.targets import export_target, target_names
 
 
-class ExportKind(StrEnum):
-    """Format of the files."""
-
-    mat = "mat"
-    csv = "csv"
-    yaml = "yaml"
+def _complete_target(incomplete: str) -> list[str]:
+    return [name for name in target_names() if name.startswith(incomplete)]
 
 
 def export(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="EXPERIMENT|MODEL",
-            help="An experiment YAML (its fits and LPV models), a model YAML or name, or a fit in .h5.",
+            metavar="EXPERIMENT|MODEL|CONTROLLER",
+            help="An experiment YAML (its fits, LPV models and controllers), a model YAML or name, a controller YAML, "
+            "or a fit in .h5.",
             show_default=False,
             autocompletion=complete_source,
         ),
     ],
     to: Annotated[
-        ExportKind,
-        typer.Option("--to", help="MATLAB data with a function for ss and idss; tables; plain YAML."),
-    ] = ExportKind.mat,
+        str,
+        typer.Option(
+            "--to",
+            metavar="TARGET",
+            help=f"What to write: {', '.join(target_names())}.",
+            autocompletion=_complete_target,
+        ),
+    ] = "matlab",
     at: Annotated[
         tuple[float, float] | None,
-        typer.Option("--at", metavar="BAR RPM", help="Of a model: the linear models at this operating point."),
+        typer.Option("--at", metavar="BAR RPM", help="Of LPV models and controllers: those at this operating point."),
     ] = None,
+    number: Annotated[
+        Literal["double", "float"], typer.Option("--number", help="Type of the numbers in C source.")
+    ] = "double",
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a model."),
+        typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
     ] = None,
     results: Results = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
-    """Write models for MATLAB, spreadsheets or as plain YAML."""
+    """Write models and controllers for other programs."""
     with guarded(as_json, debug):
-        from gbid.cli.exportable import find_exportable, write_files
         from gbid.cli.printing import print_json
+        from gbid.exporters.export_target import ExportRequest
+        from gbid.exporters.finding import find_exports
+        from gbid.exporters.writing import write_exports
 
-        found = find_exportable(source, at, results)
-        folder = output or found.folder
-        files = [str(p) for name, what in found.items.items() for p in write_files(what, name, to, folder, overwrite)]
+        export_target(to)
+        found = find_exports(source, at, results)
+        request = ExportRequest(output or found.folder, overwrite, at, number)
+        files = [str(path) for path in write_exports(found, to, request)]
         if as_json:
             print_json({"files": files, "left_out": list(found.left_out)})
         else:

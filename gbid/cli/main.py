@@ -87,8 +87,9 @@ app.command(
     "export",
     rich_help_panel=REPORT,
     epilog=examples(
-        "gbid export rig1/experiment.yaml --to mat   # all its models, for MATLAB",
-        "gbid export theisen2016 --to csv --at 6 0   # a model at 6 bar and 0 rpm",
+        "gbid export rig1/experiment.yaml --to matlab   # all its models and controllers, for MATLAB",
+        "gbid export rig1/experiment.yaml --to c        # its controllers as C source",
+        "gbid export theisen2016 --to csv --at 6 0      # a model at 6 bar and 0 rpm",
     ),
 )(export)
 app.command(

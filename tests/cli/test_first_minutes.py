@@ -166,7 +166,7 @@ def test_bash_completes_verbs_and_files(tmp_path):
 
 
 def test_export_writes_the_fits_of_an_experiment(spring, tmp_path, capsys):
-    for kind, ending in (("mat", "mat"), ("csv", "csv"), ("yaml", "yaml")):
+    for kind, ending in (("matlab", "mat"), ("csv", "csv"), ("yaml", "yaml")):
         assert gbid("export", spring, "--to", kind, "--output", tmp_path / kind, "--json") == 0
         document = json.loads(capsys.readouterr().out)
         assert document["left_out"] == []
@@ -174,10 +174,10 @@ def test_export_writes_the_fits_of_an_experiment(spring, tmp_path, capsys):
         assert all(p.is_file() for p in files)
         assert {"spring_run1", "spring_run2"} <= {p.stem.removesuffix("_parameters") for p in files}
         assert any(p.suffix == f".{ending}" for p in files)
-    assert gbid("export", spring, "--output", tmp_path / "mat") == 2
+    assert gbid("export", spring, "--output", tmp_path / "matlab") == 2
     assert "exists already" in capsys.readouterr().err
-    assert gbid("export", spring, "--output", tmp_path / "mat", "--overwrite") == 0
-    data = loadmat(tmp_path / "mat" / "spring_run1.mat")
+    assert gbid("export", spring, "--output", tmp_path / "matlab", "--overwrite") == 0
+    data = loadmat(tmp_path / "matlab" / "spring_run1.mat")
     numbers = dict(
         zip([str(n[0]) for n in data["parameter_name"].ravel()], data["parameter_value"].ravel(), strict=True)
     )
@@ -199,8 +199,10 @@ def test_export_of_an_experiment_takes_its_lpv_models_along(spring, capsys):
 def test_export_says_what_it_cannot_do(tmp_path, capsys):
     path = write_spring(tmp_path)
     for arguments, code, words in (
-        ([path], 3, ("no models in", f"run `gbid run {path}` first")),
-        ([path, "--at", 6, 0], 2, ("--at is for an LPV model",)),
+        ([path], 3, ("no models and no controllers in", f"run `gbid run {path}` first")),
+        (["fit.h5", "--at", 6, 0], 2, ("--at is for LPV models and controllers",)),
+        (["theisen2016", "--to", "mat"], 2, ("no such target; there are c, csv", "matlab")),
+        (["theisen2016", "--to", "c"], 2, ("takes controllers; here are only LPV models",)),
         ([tmp_path / "nothing.yaml"], 2, ("no such file",)),
         (["nothing"], 2, ("there are: theisen2016",)),
         (["theisen2016", "--at", 9, 0, "--output", tmp_path], 2, ("domain",)),

@@ -1,0 +1,72 @@
+"""Export target: what a writer of files for another program consists of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from gbid.control import ControllerDesign
+from gbid.interchange import Exportable
+
+Point = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class ExportItem:
+    """One thing that can be exported.
+
+    Attributes
+    ----------
+    name : str
+        Name of its files without ending: letters, digits and ``_``, a letter first.
+    what : LinearModel, FitResult, LPVModel or ControllerDesign
+        The value.
+    """
+
+    name: str
+    what: Exportable | ControllerDesign
+
+
+@dataclass(frozen=True, eq=False)
+class ExportRequest:
+    """What the user asked for.
+
+    Attributes
+    ----------
+    folder : pathlib.Path
+        Folder of the files.
+    overwrite : bool
+        Whether existing files may be replaced.
+    at : (pressure_bar, speed_rpm), optional
+        Operating point.
+    number : {"double", "float"}
+        Type of the numbers in generated source.
+    beside : tuple of ExportItem
+        All items of the source, for a target that joins several of them, as a plant and its controller.
+    """
+
+    folder: Path
+    overwrite: bool = False
+    at: Point | None = None
+    number: str = "double"
+    beside: tuple[ExportItem, ...] = field(default=())
+
+
+@dataclass(frozen=True)
+class ExportTarget:
+    """A program or language that models and controllers are exported to.
+
+    Attributes
+    ----------
+    about : str
+        What the files are, for the help of the command line.
+    takes : tuple of type
+        Types of values that it writes; other items of the source are passed over.
+    write : callable
+        From an item and the request to the paths of the files that it wrote. Raises UsageError and DataError.
+    """
+
+    about: str
+    takes: tuple[type, ...]
+    write: Callable[[ExportItem, ExportRequest], list[Path]]

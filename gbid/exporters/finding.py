@@ -1,0 +1,140 @@
+"""Models and controllers that `gbid export` finds in an experiment or file."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from gbid.control import ControllerDesign, load_controller
+from gbid.errors import DataError, GbidError, UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.fit.plan import fit_models
+from gbid.experiment.stages.fit.stage import load_made_fit
+from gbid.experiment.stages.impact.plan import TUNED
+from gbid.experiment.stages.tune.plan import design_structure
+from gbid.exporters.export_target import ExportItem, Point
+from gbid.identify import load_fit
+from gbid.lpv import LPVModel, load_model
+from gbid.yaml_file import read_yaml
+
+FOLDER = "export"
+
+
+@dataclass(frozen=True, eq=False)
+class Exports:
+    """What can be exported from a source.
+
+    Attributes
+    ----------
+    source : str
+        The source as given.
+    items : tuple of ExportItem
+        Models and controllers.
+    folder : pathlib.Path
+        Folder of the files when the user names none.
+    left_out : tuple of str
+        Reason for each item that could not be read.
+    """
+
+    source: str
+    items: tuple[ExportItem, ...]
+    folder: Path
+    left_out: tuple[str, ...] = ()
+
+
+def find_exports(source: str, at: Point | None = None, results: Path | None = None) -> Exports:
+    """Return the models and controllers of an experiment, model, controller file or fit.
+
+    Parameters
+    ----------
+    source : str
+        An experiment YAML, a model YAML or name, a controller YAML, or a fit in .h5.
+    at : (pressure_bar, speed_rpm), optional
+        Operating point. LPV models give their linear models there.
+    results : path, optional
+        Folder of the results of an experiment, instead of the one in its YAML.
+
+    Returns
+    -------
+    Exports
+
+    Raises
+    ------
+    UsageError
+        When the source is of no such kind, when `at` is given for a fit, or when a file is faulty.
+    DataError
+        When the experiment has no models and no controllers yet.
+    """
+    path = Path(source)
+    if path.suffix in (".h5", ".hdf5"):
+        if at is not None:
+            raise UsageError(f"--at is for LPV models and controllers; {source} is a fit, so leave it out")
+        return Exports(source, (ExportItem(identifier(f"{path.parent.name}_{path.stem}"), load_fit(path)),), Path())
+    if path.suffix in (".yaml", ".yml"):
+        kind = read_yaml(path).data.get("kind")
+        if kind == "controller":
+            return Exports(source, (_controller_item(load_controller(path)),), Path())
+        if kind != "lpv_model":
+            return _of_experiment(path, at, results)
+    model = load_model(source)
+    return Exports(source, _of_model(identifier(model.name), model, at), Path())
+
+
+def identifier(text: str) -> str:
+    """Return a name that is valid as a C identifier and as the name of a MATLAB function."""
+    name = re.sub(r"[^A-Za-z0-9_]", "_", text)
+    return (name if name[:1].isalpha() else f"m_{name}")[:50]
+
+
+def _of_model(name: str, model: LPVModel, at: Point | None) -> tuple[ExportItem, ...]:
+    if at is None:
+        return (ExportItem(name, model),)
+    point = identifier(f"{name}_p{at[0]:g}_n{at[1]:g}")
+    bearing = ExportItem(f"{point}_bearing", model.at(*at))
+    return (bearing, ExportItem(f"{point}_plant", model.plant_at(*at))) if model.actuators else (bearing,)
+
+
+def _controller_item(design: ControllerDesign) -> ExportItem:
+    return ExportItem(identifier(f"controller_{design.name}"), design)
+
+
+def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Exports:
+    job = Job(load_experiment(path, results))
+    folder = job.experiment.results
+    items: list[ExportItem] = []
+    left_out = []
+    for fit in job.experiment.spec.fits:
+        for model in fit_models(job.experiment, fit):
+            try:
+                items.append(ExportItem(identifier(f"{fit}_{model}"), load_made_fit(job, fit, model)))
+            except DataError as error:
+                left_out.append(str(error))
+    for file in sorted(folder.rglob("*.yaml")):
+        if FOLDER in file.relative_to(folder).parts:
+            continue
+        try:
+            if read_yaml(file).data.get("kind") == "lpv_model":
+                items += _of_model(identifier(file.stem), load_model(file), at)
+        except GbidError as error:
+            left_out.append(str(error))
+    for name in job.experiment.spec.controller:
+        try:
+            items.append(_controller_item(_tuned(job, name)))
+        except GbidError as error:
+            left_out.append(str(error))
+    if not items:
+        reason = f": {left_out[0]}" if left_out else ""
+        raise DataError(f"{path}: no models and no controllers in {folder} yet{reason}; run `gbid run {path}` first")
+    return Exports(str(path), tuple(items), folder / FOLDER, tuple(left_out))
+
+
+def _tuned(job: Job, name: str) -> ControllerDesign:
+    """Return a tuned design of the experiment; one of the user's own structure with this structure."""
+    path = job.path(TUNED, name, ".yaml")
+    if not path.is_file():
+        raise DataError(f"{path}: file is missing; `gbid tune` makes it")
+    section = job.experiment.spec.controller[name]
+    own = ":" in section.structure and section.schedule is None
+    return load_controller(path, design_structure(job.experiment, section) if own else None)
