@@ -10,7 +10,8 @@ import pytest
 from gain_problems import loops_of
 
 from gbid.control.tuning.loops_at_points import LoopsAtPoints
-from gbid.control.tuning.search.limits import ExtraLimit, Limits
+from gbid.control.tuning.search.limits import Limits
+from gbid.control.tuning.search.measure import ExtraLimit
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
 from gbid.control.tuning.uncertainty import Uncertainty

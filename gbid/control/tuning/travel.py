@@ -9,8 +9,8 @@ import numpy as np
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.force_entry import force_entry
-from gbid.control.tuning.search.limits import ExtraLimit
 from gbid.control.tuning.search.loop_family import LoopFamily
+from gbid.control.tuning.search.measure import ExtraLimit
 from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.structure import LinearModel
 

@@ -67,6 +67,8 @@ class LoopFamily:
         Pressure [bar] and speed [rpm] of each loop, when they are operating points.
     n_outputs : int
         Number of rows of C of the output sensitivity; the rows below are the control signals. 0: A only.
+    sample_time : float, optional
+        Sample time of sampled loops [s], whose matrices are then those of the bilinear transform, see `plane`.
     """
 
     function: ca.Function
@@ -74,6 +76,7 @@ class LoopFamily:
     labels: tuple[str, ...]
     points: FloatArray | None = None
     n_outputs: int = 0
+    sample_time: float | None = None
     _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -15,9 +15,11 @@ import numpy.typing as npt
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
-from gbid.control.tuning.search.limits import ExtraLimit, Limits
+from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily, Loops
+from gbid.control.tuning.search.measure import LoopState
 from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tuning.search.plane import rate_slopes, true_rates
 from gbid.control.tuning.search.spectrum import Eigensystem, Pair, damping_factors, damping_slopes, pair_of
 from gbid.poles import REAL
 
@@ -95,9 +97,9 @@ class GainProblem:
         self.evaluations += 1
         value, violation = np.inf, 0.0
         every = [family.matrices(x) for family in self.families]
-        for loops in every:
-            values = np.linalg.eigvals(loops.A).astype(complex)
-            value = min(value, float(self.aim(values).min()))
+        for family, loops in zip(self.families, every, strict=True):
+            values = true_rates(np.linalg.eigvals(loops.A).astype(complex), family.sample_time)
+            value = min(value, float(self.aim(values, family.sample_time).min()))
             violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
         if value < worst:
             return Score(value, max(violation, 0.0))
@@ -106,31 +108,42 @@ class GainProblem:
                 violation = max(violation, float(np.log(peaks.value.max() / limit)))
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
-        for extra in self.limits.extra:
-            violation = max([violation, *(float(extra.excess(family, x).max()) for family in self.families)])
+        if self.limits.measures:
+            states = [self._state(*pair, x) for pair in zip(self.families, every, strict=True)]
+            violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
+            value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
         return Score(value, max(violation, 0.0))
+
+    def _state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
+        step = 1e-5 * (self.upper - self.lower)
+        inwards = np.where(x + step > self.upper, -step, step)
+        return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
 
     def aim_bound(self, x: FloatArray) -> float:
         """Return an upper bound of the merit of a design: objective minus penalty of the slowest pole."""
         value, slow = np.inf, -np.inf
         for family in self.families:
-            values = np.linalg.eigvals(family.states(x)).astype(complex)
-            value, slow = min(value, float(self.aim(values).min())), max(slow, float(values.real.max()))
+            values = true_rates(np.linalg.eigvals(family.states(x)).astype(complex), family.sample_time)
+            worst = float(self.aim(values, family.sample_time).min())
+            value, slow = min(value, worst), max(slow, float(values.real.max()))
         return value - 10.0 * max(0.0, (self.slowest + slow) / self.scale)
 
     def stable(self, x: FloatArray) -> bool:
         """Return whether all loops are stable."""
         return all(bool((np.linalg.eigvals(family.states(x)).real < 0).all()) for family in self.families)
 
-    def aim(self, eigenvalues: ComplexArray) -> FloatArray:
-        """Return the objective of each eigenvalue: damping factor, or decay in units of the scale."""
+    def aim(self, rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
+        """Return the objective of each mode from its rate: damping factor, or decay in units of the scale."""
+        if not self.limits.weight:
+            return np.full(rates.shape, np.inf)
         if self.limits.objective == "damping":
-            return damping_factors(eigenvalues)
-        return -eigenvalues.real / self.scale
+            return self.limits.weight * damping_factors(rates, sample_time)
+        return -self.limits.weight * rates.real / self.scale
 
     def in_units(self, aim: float) -> float:
         """Return the objective in reported units: damping factor, or decay [1/s]."""
-        return aim if self.limits.objective == "damping" else aim * self.scale
+        unit = 1.0 if self.limits.objective == "damping" or not self.limits.weight else self.scale
+        return aim * unit / (self.limits.weight or 1.0)
 
     def functions(self, x: FloatArray) -> ActiveFunctions:
         """Return all functions near the worst one at a design, with gradients."""
@@ -140,13 +153,19 @@ class GainProblem:
         pairs: list[tuple[ActiveFunction, Pair]] = []
         slopes_by = [family.derivatives(x) for family in self.families]
         systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
-        values = [self.aim(system.values) for system in systems]
-        worst = min(float(v.min()) for v in values)
+        rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
+        values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
+        states = [
+            self._state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)
+        ]
+        softs = [(soft, f, state, soft.excess(state)) for soft in self.limits.soft for f, state in enumerate(states)]
+        worst = min([*(float(v.min()) for v in values), *(-float(excess.max()) for *_, excess in softs)])
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
             upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
-            near = (aim < worst + _WINDOW) & upper & (aim < 1.0 if self.limits.objective == "damping" else True)
+            top = self.limits.weight if self.limits.objective == "damping" else np.inf
+            near = (aim < worst + _WINDOW) & upper & (aim < top)
             aims += self._of_eigenvalues("aim", f, system, derivatives, near)
-            slow = (self.slowest + system.values.real) / self.scale
+            slow = (self.slowest + rates[f].real) / self.scale
             limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -_WINDOW) & upper)
             pairs += self._pairs(f, system, derivatives, near)
         for kind, f, peaks, limit in self._responses(slopes_by, systems):
@@ -161,7 +180,12 @@ class GainProblem:
             if (excess := float(row @ x - limit)) > -_WINDOW:
                 limits.append(ActiveFunction(name, 0, 0, excess, row, 0j))
         for extra in self.limits.extra:
-            limits += [piece for f in range(len(self.families)) for piece in self._extra(extra, f, x)]
+            for f, state in enumerate(states):
+                found = zip(*extra.pieces(state, _WINDOW), strict=True)
+                limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in found]
+        for soft, f, state, _ in softs:
+            found = zip(*soft.pieces(state, worst + _WINDOW), strict=True)
+            aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in found]
         violation = max([0.0, *(piece.value for piece in limits)])
         return ActiveFunctions(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
 
@@ -170,17 +194,23 @@ class GainProblem:
     ) -> list[ActiveFunction]:
         loop, which = np.nonzero(chosen)
         values = system.values[loop, which]
-        slopes = system.slopes(loop, which, derivatives.dA)
-        if kind == "pole":
-            numbers, gradients = (self.slowest + values.real) / self.scale, slopes.real / self.scale
-        elif self.limits.objective == "damping":
-            numbers, gradients = damping_factors(values), damping_slopes(values, slopes)
-        else:
-            numbers, gradients = -values.real / self.scale, -slopes.real / self.scale
+        numbers, gradients = self._of_values(kind, f, values, system.slopes(loop, which, derivatives.dA))
         return [
             ActiveFunction(kind, f, int(i), float(number), gradient, complex(value))
             for i, number, gradient, value in zip(loop, numbers, gradients, values, strict=True)
         ]
+
+    def _of_values(
+        self, kind: str, f: int, values: ComplexArray, slopes: ComplexArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return objective or excess of the slowest pole for eigenvalues of a family (k,), and their gradients."""
+        T, weight = self.families[f].sample_time, self.limits.weight
+        rates, slopes = true_rates(values, T), slopes * rate_slopes(values, T)[:, None]
+        if kind == "pole":
+            return (self.slowest + rates.real) / self.scale, slopes.real / self.scale
+        if self.limits.objective == "damping":
+            return weight * damping_factors(rates, T), weight * damping_slopes(rates, slopes, T)
+        return -weight * rates.real / self.scale, -weight * slopes.real / self.scale
 
     def _pairs(
         self, f: int, system: Eigensystem, derivatives: Derivatives, near: BoolArray
@@ -196,16 +226,14 @@ class GainProblem:
                 continue
             pair = pair_of(system, derivatives.dA[i], int(i), int(which[a]), int(which[b]))
             if pair is not None:
-                value, gradient = self._mean_of(pair)
+                value, gradient = self._mean_of(f, pair)
                 found.append((ActiveFunction("pair", f, int(i), value, gradient, pair.mean), pair))
         return found
 
-    def _mean_of(self, pair: Pair) -> tuple[float, FloatArray]:
+    def _mean_of(self, f: int, pair: Pair) -> tuple[float, FloatArray]:
         """Return the objective of the mean of a pair, and its gradient."""
-        mean, slope = np.array([pair.mean]), pair.mean_slope[None]
-        if self.limits.objective == "damping":
-            return float(damping_factors(mean)[0]), damping_slopes(mean, slope)[0]
-        return -pair.mean.real / self.scale, -pair.mean_slope.real / self.scale
+        numbers, gradients = self._of_values("aim", f, np.array([pair.mean]), pair.mean_slope[None])
+        return float(numbers[0]), gradients[0]
 
     def pair_near(self, x: FloatArray, family: int, loop: int, place: complex) -> Pair | None:
         """Return the two eigenvalues of a loop nearest to a place in the complex plane, as a pair."""
@@ -232,7 +260,7 @@ class GainProblem:
             for i in own:
                 # the loop of this piece in each design
                 which = np.searchsorted(used, functions[i].loop) + len(used) * np.arange(len(designs))
-                found[:, i] = self._slopes_of(functions[i], family, loops, system, which)
+                found[:, i] = self._slopes_of(functions[i], f, loops, system, which)
         for i, piece in enumerate(functions):
             rows = [row for name, row, _ in self.linear if name == piece.kind]
             if rows:
@@ -242,7 +270,7 @@ class GainProblem:
     def _slopes_of(
         self,
         piece: ActiveFunction,
-        family: LoopFamily,
+        f: int,
         loops: Derivatives,
         system: Eigensystem | None,
         which: npt.NDArray[np.intp],
@@ -251,7 +279,7 @@ class GainProblem:
         nothing = np.full((len(which), len(self.lower)), np.nan)
         if piece.kind in _RESPONSES:
             peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
-            slopes, values = peak_slopes(loops, rows_of(family, piece.kind), peaks)
+            slopes, values = peak_slopes(loops, rows_of(self.families[f], piece.kind), peaks)
             return np.asarray(slopes / values[:, None])
         if system is None or piece.kind not in ("aim", "pole", "pair"):
             return nothing
@@ -260,13 +288,10 @@ class GainProblem:
             for row, (loop, nearest) in enumerate(zip(which, np.argsort(distance, axis=1), strict=True)):
                 pair = pair_of(system, loops.dA[loop], int(loop), int(nearest[0]), int(nearest[1]))
                 if pair is not None:
-                    nothing[row] = self._mean_of(pair)[1]
+                    nothing[row] = self._mean_of(f, pair)[1]
             return nothing
         at = distance.argmin(axis=1)
-        slope = system.slopes(which, at, loops.dA)
-        if piece.kind == "aim" and self.limits.objective == "damping":
-            return damping_slopes(system.values[which, at], slope)
-        return np.asarray((slope.real if piece.kind == "pole" else -slope.real) / self.scale)
+        return self._of_values(piece.kind, f, system.values[which, at], system.slopes(which, at, loops.dA))[1]
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).
@@ -276,13 +301,16 @@ class GainProblem:
         """
         loops = family.matrices(x)
         system = Eigensystem.of(loops.A)
-        rows = [-self.aim(system.values).min(axis=1), (self.slowest + system.values.real).max(axis=1) / self.scale]
+        rates = true_rates(system.values, family.sample_time)
+        rows = [-self.aim(rates, family.sample_time).min(axis=1), (self.slowest + rates.real).max(axis=1) / self.scale]
+        state = self._state(family, loops, x, system)
+        rows[0] = np.max([rows[0], *(soft.excess(state) for soft in self.limits.soft)], axis=0)
         if self.limits.has_responses and family.n_outputs:
             for _, peaks, limit in self._peaks(family, loops, system, []):
                 highest = np.zeros(len(family))
                 np.maximum.at(highest, peaks.loop, peaks.value)
                 rows.append(np.log(highest / limit))
-        rows += [extra.excess(family, x) for extra in self.limits.extra]
+        rows += [extra.excess(state) for extra in self.limits.extra]
         return np.array(rows)
 
     def _responses(
@@ -315,20 +343,6 @@ class GainProblem:
             peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
             found.append(("static", peaks, self.limits.static_amplification))
         return found
-
-    def _extra(self, extra: ExtraLimit, f: int, x: FloatArray) -> list[ActiveFunction]:
-        """Return the active functions of an additional limit, with gradients by differences."""
-        family = self.families[f]
-        base = extra.excess(family, x)
-        near = np.flatnonzero(base > -_WINDOW)
-        slope = np.zeros((len(family), len(x)))
-        for i in range(len(x) if len(near) else 0):
-            step = 1e-5 * (self.upper[i] - self.lower[i])
-            step = -step if x[i] + step > self.upper[i] else step
-            moved = x.copy()
-            moved[i] += step
-            slope[:, i] = (extra.excess(family, moved) - base) / step
-        return [ActiveFunction(extra.name, f, int(loop), float(base[loop]), slope[loop], 0j) for loop in near]
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

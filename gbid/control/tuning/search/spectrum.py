@@ -8,13 +8,23 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.control.tuning.search.plane import FADE, brevity
 from gbid.poles import REAL
 
 
-def damping_factors(eigenvalues: ComplexArray) -> FloatArray:
-    """Return the damping factors ``-Re/|.|`` of oscillatory eigenvalues; 1 for real ones."""
-    magnitude = np.maximum(np.abs(eigenvalues), 1e-300)
-    return np.where(np.abs(eigenvalues.imag) > REAL * magnitude, -eigenvalues.real / magnitude, 1.0)
+def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
+    """Return the damping factors ``-Re/|.|`` of oscillatory modes; 1 for real ones.
+
+    Parameters
+    ----------
+    rates : complex array
+        Eigenvalues in continuous time [rad/s].
+    sample_time : float, optional
+        Sample time of a sampled loop [s], in which modes shorter than a sample fade out, see `plane.brevity`.
+    """
+    magnitude = np.maximum(np.abs(rates), 1e-300)
+    found = np.where(np.abs(rates.imag) > REAL * magnitude, -rates.real / magnitude, 1.0)
+    return np.asarray(found + (1.0 - found) * brevity(rates, sample_time))
 
 
 def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
@@ -51,11 +61,16 @@ class Eigensystem:
         return bilinear(self.left[loops, which], dA[loops], self.right[loops, :, which])
 
 
-def damping_slopes(eigenvalues: ComplexArray, slopes: ComplexArray) -> FloatArray:
-    """Return derivatives (k, d) of the damping factor from those of the eigenvalues."""
-    magnitude = np.abs(eigenvalues)[:, None]
-    along = (eigenvalues.conj()[:, None] * slopes).real
-    return np.asarray(-slopes.real / magnitude + eigenvalues.real[:, None] * along / magnitude**3)
+def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
+    """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
+    magnitude = np.abs(rates)[:, None]
+    along = (rates.conj()[:, None] * slopes).real
+    found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
+    if sample_time is None:
+        return np.asarray(found)
+    short = brevity(rates, sample_time)[:, None]
+    fading = np.where((short > 0) & (short < 1), -slopes.real * sample_time / FADE, 0.0)
+    return np.asarray((1 - short) * found + (1 - damping_factors(rates)[:, None]) * fading)
 
 
 @dataclass(frozen=True)
