@@ -12,9 +12,9 @@ def _as_list(value: Any) -> Any:
     return [value] if isinstance(value, str) else value
 
 
-def _one_or_several(kind: dict[str, Any]) -> WithJsonSchema:
+def _one_or_several(kind: dict[str, Any], fewest: int = 1) -> WithJsonSchema:
     """Return a schema for editors that allows a single value in place of a list."""
-    return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": 1}]})
+    return WithJsonSchema({"anyOf": [kind, {"type": "array", "items": kind, "minItems": fewest}]})
 
 
 def _one_or_two(value: Any) -> Any:
@@ -41,6 +41,12 @@ Names = Annotated[
     _one_or_several({"type": "string", "minLength": 1}),
 ]
 """One or several names; a single name needs no list."""
+NamesOrNone = Annotated[
+    tuple[Text, ...],
+    BeforeValidator(_as_list),
+    _one_or_several({"type": "string", "minLength": 1}, fewest=0),
+]
+"""As `Names`, or an empty list."""
 Pair = tuple[Number, Number]
 OneOrTwo = Annotated[
     float | tuple[float, float],

@@ -13,7 +13,7 @@ from gbid.experiment.keys import content_key, file_digest
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.stages.fit.structures import make_structure
+from gbid.experiment.stages.fit.structures import fit_channels
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options, rig_experiment
@@ -32,6 +32,7 @@ def refuse_bad_signals(
     used: Iterable[str],
     file: Path | None = None,
     kinds: Sequence[ProblemKind] | None = None,
+    driving: Iterable[str] = (),
 ) -> None:
     """Refuse a recording when `gbid.recording.find_problems` finds a problem in one of the channels used.
 
@@ -47,6 +48,8 @@ def refuse_bad_signals(
         File of the recording, for the message.
     kinds : collection of str, optional
         Kinds of problems to look for; all by default.
+    driving : iterable of str
+        Of those used, the inputs of fits. They may be constant, as in a free decay.
 
     Raises
     ------
@@ -55,10 +58,13 @@ def refuse_bad_signals(
     """
     wanted = [name.partition(".") for name in used]
     signals = dict.fromkeys(signal for signal, _, _ in wanted if signal in recording.signals)
+    steady = set(driving)
     resting = [name for name, s in planned.imported.signals.items() if s.rests_at_limits] if planned.imported else []
     texts = []
     for problem in find_problems(recording, signals, kinds):
         if problem.kind == "saturated" and problem.signal in resting:
+            continue
+        if problem.kind == "constant" and {problem.signal, f"{problem.signal}.{problem.channel}"} & steady:
             continue
         hit = [c for s, _, c in wanted if s == problem.signal]
         if problem.signal and problem.channel and not {"", problem.channel} & set(hit):
@@ -71,11 +77,19 @@ def refuse_bad_signals(
 
 def used_channels(experiment: Experiment, recording: str) -> list[str]:
     """Return the signals and channels of a recording that the fits use."""
-    used: list[str] = []
-    for fit in experiment.fits_of.get(recording, ()):
-        section, structure = experiment.spec.fits[fit], make_structure(experiment, fit)
-        used += [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
-    return list(dict.fromkeys(used))
+    return list(dict.fromkeys([*driving_channels(experiment, recording), *_measured_channels(experiment, recording)]))
+
+
+def driving_channels(experiment: Experiment, recording: str) -> list[str]:
+    """Return the signals and channels of a recording that are inputs of fits, and outputs of none."""
+    measured = set(_measured_channels(experiment, recording))
+    fits = experiment.fits_of.get(recording, ())
+    used = [name for fit in fits for name in fit_channels(experiment, fit)[0]]
+    return [name for name in dict.fromkeys(used) if name not in measured]
+
+
+def _measured_channels(experiment: Experiment, recording: str) -> list[str]:
+    return [name for fit in experiment.fits_of.get(recording, ()) for name in fit_channels(experiment, fit)[1]]
 
 
 def recording_key(experiment: Experiment, planned: PlannedRecording) -> str:

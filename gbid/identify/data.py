@@ -140,8 +140,8 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
     Raises
     ------
     DataError
-        When there are no recordings, sample times or channels differ, a record is too short, an input never moves, or
-        an output is constant.
+        When there are no recordings, sample times or channels differ, a record is too short, or an output is constant.
+        An input may be constant or zero: see `gbid.identify.problem.undriven`.
     """
     if not recordings:
         raise DataError("no recordings to fit; give at least one")
@@ -163,11 +163,11 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
             raise DataError(
                 f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
             )
-        for label, column in zip(u_names + y_names, np.hstack([u, y]).T, strict=True):
+        for label, column in zip(y_names, y.T, strict=True):
             if np.ptp(column) == 0:
-                what = "input never moves" if label in u_names else "output is constant: is the sensor connected"
                 raise DataError(
-                    f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the {what}"
+                    f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the output is "
+                    "constant: is the sensor connected"
                 )
         records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y), recording.conditions))
     assert names is not None

@@ -23,6 +23,7 @@ from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start, offset_starts
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
+from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
 from gbid.identify.start.start_values import start_values
 from gbid.identify.status import FitStatus
@@ -66,7 +67,9 @@ def fit(
     recordings : Recording or sequence of Recording
         Recordings to fit. They share all parameters except those in `local`; each has its own initial state.
     inputs, outputs : str or sequence of str, optional
-        Signals (``"p"``) or channels (``"p.x"``) of the recordings; by default those of the structure.
+        Signals (``"p"``) or channels (``"p.x"``) of the recordings; by default those of the structure. ``inputs=()`` is
+        a free decay: the inputs of the structure are zero throughout. An input that is zero or constant in a recording
+        means the same there.
     focus : {"prediction", "simulation"}
         Errors of the prediction with the disturbance gain, or of the simulation without measured outputs.
     intersample : {"zoh", "foh"} or sequence, optional
@@ -119,7 +122,7 @@ def fit(
         When a name or option is unknown, bounds exclude a start value, or the matrices of the structure have wrong
         shapes.
     DataError
-        When the recordings are not sufficient for the fit.
+        When the recordings are not sufficient for the fit, or do not determine a parameter because no input moves.
     KeyboardInterrupt
         After Ctrl-C.
     """
@@ -131,10 +134,12 @@ def fit(
     hold = structure.intersample if intersample is None else intersample
     parameters = _with_options(structure.parameters, start or {}, fixed or {}, bounds or {})
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
+    check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
 
     stated = {q.name: q.start for q in parameters if q.start is not None}
     with one_blas_thread():
         begin = _within(parameters, start_values(structure, data, stated), set(stated))
+    structure = structure if in_names else without_inputs(structure)
     asked = {**(start or {}), **(fixed or {})}
     origin = {q.name: "user" if q.name in asked else "structure" if q.name in stated else "data" for q in parameters}
 
@@ -177,7 +182,7 @@ def fit(
             engine=assembly.engine,
         )
         result = outcome(structure, used, data, assembly, problem, solution, full, origin, options)
-        return replace(result, notes=(*result.notes, *more))
+        return replace(result, notes=(*result.notes, *more, *decay_notes(data)))
 
     # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):

@@ -113,6 +113,11 @@ class Predictor:
         """Prompt inputs whose next sample is also a regressor."""
         return [i for i in self.prompt if self.holds[i] == "foh"]
 
+    @property
+    def _idle(self) -> bool:
+        """Whether nothing drives the model: a free decay. One regressor that is zero stands for the missing ones."""
+        return not (self.prompt or self.delayed or self.feeds_back or self.offsets)
+
     def at(self, theta: FloatArray) -> PredictorValues:
         """Return the matrices at values of the free parameters, shape (n_free,).
 
@@ -147,6 +152,9 @@ class Predictor:
         if self.offsets:
             drives.append(constant(np.zeros((self.n_states, 1)), n_p))
             feeds.append(_offset_column(theta[-n_y:], n_p))
+        if self._idle:
+            drives.append(constant(np.zeros((self.n_states, 1)), n_p))
+            feeds.append(constant(np.zeros((n_y, 1)), n_p))
         drive, feed = side_by_side(drives), side_by_side(feeds)
         if not self.feeds_back:
             parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
@@ -162,9 +170,10 @@ class Predictor:
         """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
 
         Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
-        delayed input its samples around ``k - shift``; a one if offsets are estimated; ``y[k]`` if the disturbance gain
-        is used; and all but the last again for the following samples of a longer horizon. Before the record an input is
-        constant at its first sample. After it the input is constant at its last sample, which enters no prediction.
+        delayed input its samples around ``k - shift``; a one if offsets are estimated; a zero if there is nothing else;
+        ``y[k]`` if the disturbance gain is used; and all but the last again for the following samples of a longer
+        horizon. Before the record an input is constant at its first sample. After it the input is constant at its last
+        sample, which enters no prediction.
         """
         n = len(inputs)
 
@@ -180,6 +189,8 @@ class Predictor:
             parts += [lagged([i], lag) for lag in range(first, d + 2)]
         if self.offsets:
             parts.append(np.ones((n, 1)))
+        if self._idle:
+            parts.append(np.zeros((n, 1)))
         now = np.hstack(parts)
         z = [now, outputs] if self.feeds_back else [now]
         rows = n - self.horizon + 1

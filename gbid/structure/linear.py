@@ -73,6 +73,8 @@ class Structure(Protocol):
     def matrices(self, p: Values) -> Mapping[str, Any]:
         """Return ``{"A", "B", "C", "D", "K"}`` as CasADi matrices of the parameters; D and K may be left out.
 
+        A structure without inputs may leave out B as well.
+
         ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together define an exact input delay.
 
         Parameters
@@ -95,10 +97,11 @@ class LinearStructure:
         Parameters, each with a start value.
     matrices : callable
         ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
-        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out.
+        of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out, and B for
+        a structure without inputs.
         ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs with exact delays.
     inputs, outputs : str or sequence of str
-        Signals of the recordings; ``"p.x"`` selects one channel.
+        Signals of the recordings; ``"p.x"`` selects one channel. ``inputs=()`` for a structure that only decays.
     intersample : {"zoh", "foh"}
         Inter-sample behaviour of the inputs.
 
@@ -162,7 +165,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     casadi.SX
         The parameters, (n_parameters, 1), in the order of the structure.
     Matrices
-        Matrices of checked shape; D and K are zero when they were left out.
+        Matrices of checked shape; B, D and K are zero when they were left out.
 
     Raises
     ------
@@ -177,16 +180,18 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
         raise
     except Exception as error:
         raise UsageError(f"{where}: matrices(p) failed: {in_one_line(error)}") from error
-    missing = [letter for letter in "ABC" if letter not in given]
+    missing = [letter for letter in "AC" if letter not in given]
     unknown = [letter for letter in given if letter not in Matrices._fields]
     if missing or unknown or ("delay" in given) != ("B_delayed" in given):
         raise UsageError(
-            f"{where}: matrices(p) must give A, B, C and may give D, K, and B_delayed with delay; "
+            f"{where}: matrices(p) must give A and C, and may give B, D, K, and B_delayed with delay; "
             f"got {', '.join(given) or 'nothing'}"
         )
     sx = {letter: _as_matrix(value, f"{where}: {letter}") for letter, value in given.items()}
-    n, n_u, n_y = sx["A"].shape[0], sx["B"].shape[1], sx["C"].shape[0]
+    n, n_y = sx["A"].shape[0], sx["C"].shape[0]
+    n_u = next((sx[letter].shape[1] for letter in ("B", "D", "B_delayed") if letter in sx), 0)
     has_delay = "delay" in sx
+    sx.setdefault("B", ca.SX(n, n_u))
     sx.setdefault("D", ca.SX(n_y, n_u))
     sx.setdefault("K", ca.SX(n, n_y))
     sx.setdefault("B_delayed", ca.SX(n, n_u))
@@ -263,6 +268,8 @@ def _as_matrix(value: Any, where: str) -> ca.SX:
             return ca.SX(value)
         if isinstance(value, list | tuple):
             rows = [row if isinstance(row, list | tuple) else [row] for row in value]
+            if rows and not any(rows):  # no columns, as B of a structure without inputs
+                return ca.SX(len(rows), 0)
             return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
         return ca.SX(ca.DM(np.atleast_2d(np.asarray(value, float))))
     except Exception as error:

@@ -525,10 +525,10 @@ GOOD = mode_data(300)
 FASTER = Recording(GOOD.signals, 0.05, name="b")
 WIDE = Recording({"u": levels(50, 2), "y": levels(50, 2, seed=1)}, H, name="two")
 BAD_DATA = {
-    "constant input": (
-        with_column(GOOD, "u", 0.5),
+    "input of zero": (
+        with_column(GOOD, "u", 0.0),
         {},
-        r"'data': channel 'u' is 0.5 throughout; the input never moves",
+        r"no recording moves u: the data do not determine g; fix each \(fixed=...\), or add a recording",
     ),
     "constant output": (with_column(GOOD, "y", 2.0), {}, r"channel 'y' is 2 throughout; the output is constant"),
     "too few samples": (GOOD.slice(0, 12), {}, r"'data' has 12 samples; this fit needs at least 15"),

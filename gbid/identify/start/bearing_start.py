@@ -39,7 +39,7 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
     drive, response = totals[max(totals)]
     response[: int(10 / resolution)] = 0.0  # excludes drift and creep
     amplitude = np.sqrt(drive)
-    strength = response / (amplitude + 1e-3 * amplitude.max())
+    strength = response / (amplitude + 1e-3 * amplitude.max()) if amplitude.any() else response  # a free decay has none
     peak = 2 * np.pi * resolution * (int(np.argmax(strength)) + 0.5)
     return 0.3 * peak, 2.5 * peak
 
@@ -72,6 +72,9 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     size = np.linalg.norm(base, axis=0)
     basis, triangle = np.linalg.qr(base / size)
     rest = target - basis @ (basis.T @ target)
+    if not any(np.ptp(record.inputs, axis=0).any() for record in records):  # free decays: no delays, no gains
+        rest_of_base = np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None]
+        return _named(structure, rest_of_base)
     complex_drive = np.concatenate(drives)
 
     def delayed(tau: FloatArray) -> FloatArray:
@@ -105,9 +108,16 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
 
     columns = delayed(tau)
     projected = columns - basis @ (basis.T @ columns)
-    gain = np.linalg.lstsq(projected, rest, rcond=None)[0]
+    gain = np.asarray(np.linalg.lstsq(projected, rest, rcond=None)[0])
     rest_of_base = np.linalg.solve(triangle, basis.T @ (target - columns @ gain)) / size[:, None]
-    found = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
-    for letter, matrix in zip("kdb", (rest_of_base[:2].T, rest_of_base[2:4].T, gain.T), strict=True):
+    delays = {f"tau_{axis}": float(t) for axis, t in zip(AXES, tau, strict=True)}
+    return {**_named(structure, rest_of_base, gain), **delays}
+
+
+def _named(structure: RotorBearing, motion: FloatArray, gain: FloatArray | None = None) -> dict[str, float]:
+    """Return all parameters by name, zero for those not found, from coefficients of displacement, speed and input."""
+    found = dict.fromkeys((q.name for q in structure.parameters), 0.0)
+    matrices = {"k": motion[:2].T, "d": motion[2:4].T} | ({} if gain is None else {"b": gain.T})
+    for letter, matrix in matrices.items():
         found |= {f"{letter}_{pair}": float(v) for pair, v in zip(PAIRS, matrix.ravel(), strict=True)}
-    return {q.name: found.get(q.name, 0.0) for q in structure.parameters}
+    return found

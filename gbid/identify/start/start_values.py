@@ -37,10 +37,7 @@ def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> d
     UsageError
         When there is no method to find start values for the structure.
     """
-    missing = [q.name for q in structure.parameters if q.name not in given]
-    if missing:
-        raise UsageError(f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start")
-    return dict(given)
+    return _as_given(structure, given)
 
 
 @start_values.register
@@ -51,6 +48,8 @@ def _(structure: RotorBearing, data: FitData, given: Mapping[str, float]) -> dic
 
 @start_values.register
 def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    if not data.records[0].inputs.size:
+        return _as_given(structure, given)
     _check_channels(structure, data.records, 2, 2)
     found: dict[str, float] = {}
     for i, axis in enumerate(AXES):
@@ -61,6 +60,8 @@ def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[s
 
 @start_values.register
 def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    if not data.records[0].inputs.size:
+        return _as_given(structure, given)
     _check_channels(structure, data.records, 2, 2 * len(structure.outputs))
     if "u" in structure.outputs:
         actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
@@ -81,9 +82,16 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
     return {**bearing_start(structure.bearing, records, data.sample_time), **given}
 
 
+def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
+    missing = [q.name for q in structure.parameters if q.name not in given]
+    if missing:
+        raise UsageError(f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start")
+    return dict(given)
+
+
 def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, n_outputs: int) -> None:
     found = records[0].inputs.shape[1], records[0].outputs.shape[1]
-    if found != (n_inputs, n_outputs):
+    if found not in {(n_inputs, n_outputs), (0, n_outputs)}:  # none: a free decay
         raise UsageError(
             f"structure {structure.name!r} has {n_inputs} inputs and {n_outputs} outputs; "
             f"the recordings give {found[0]} and {found[1]}"

@@ -104,6 +104,8 @@ def ring_data(
 ) -> RingData:
     """Return a recording cut into free responses, without the samples of the impacts and `skip` samples after each.
 
+    Without impacts the whole recording is one free response; the first `skip` samples are left out.
+
     Raises
     ------
     DataError
@@ -114,7 +116,7 @@ def ring_data(
         raise DataError(f"recording {recording.name!r}: {position!r} has {p.shape[1]} channels; a ring-down needs two")
     used = np.ones(len(p), dtype=bool)
     segments = []
-    ends = [*(impact.start + 1 for impact in impacts[1:]), len(p)]
+    ends = [*(impact.start + 1 for impact in impacts), len(p)][1:]
     for impact, end in zip(impacts, ends, strict=True):
         first = impact.stop + skip
         used[impact.start + 1 : first] = False
@@ -124,6 +126,14 @@ def ring_data(
                 f"{impact.start * recording.sample_time:.4f} s; a ring-down needs {_SHORTEST}: leave that impact out"
             )
         segments.append((first, end))
+    if not impacts:
+        if len(p) - skip < _SHORTEST:
+            raise DataError(
+                f"recording {recording.name!r}: {max(len(p) - skip, 0)} samples of a free decay; a ring-down needs "
+                f"{_SHORTEST}: skip less, or leave it out"
+            )
+        used[:skip] = False
+        segments.append((skip, len(p)))
     q, r = np.linalg.qr(quiet_basis(recording, harmonics) * used[:, None])
     size = np.abs(np.diag(r))
     if size.min() < 1e-8 * size.max():

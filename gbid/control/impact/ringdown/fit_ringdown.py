@@ -35,7 +35,7 @@ def fit_ringdown(
     recordings: Recording | Sequence[Recording],
     *,
     position: str = "p",
-    force: str = "f",
+    force: str | tuple[()] = "f",
     axis: str | None = None,
     lags: int | str = "auto",
     harmonics: int | None = None,
@@ -44,22 +44,25 @@ def fit_ringdown(
 ) -> RingDown:
     """Return two modes fitted to the free responses after impacts (paper, Sec. 5.1, Tables 3 and 4).
 
+    A recording without a force, or with one that is zero throughout, is one free response from its first sample.
+
     Parameters
     ----------
     recordings : Recording or sequence of Recording
         Recordings of one machine at one operating point. Impacts along x and along y together give the best accuracy.
     position, force : str
-        Names of the signals: disc position of two channels [m], force of the hammer [N].
+        Names of the signals: disc position of two channels [m], force of the hammer [N]. ``force=()`` for recordings of
+        free decays, as ``inputs=()`` of `gbid.fit`.
     axis : {"x", "y"}, optional
         Direction of a force with one channel.
     lags : int or "auto"
         Number of decays without oscillation to fit besides the modes. In open loop there are none. A closed loop has
         those of actuators, low-pass and delays; a fit without them would overestimate the damping. ``"auto"`` chooses
-        none or 3 by Schwarz's criterion (BIC).
+        none or 3 by Schwarz's criterion (BIC). Free decays without a measured force have none.
     harmonics : int, optional
         Number of harmonics of the shaft angle `phi` to estimate; by default 10 when the shaft turns.
     skip_s : float
-        Time after the end of an impact that is left out [s].
+        Time after the end of an impact, or from the first sample of a free decay, that is left out [s].
     start : sequence of (frequency_hz, damping), optional
         Two modes as an additional start value.
 
@@ -71,18 +74,23 @@ def fit_ringdown(
     Raises
     ------
     DataError
-        When a recording has no impact or too few samples after one, or when a signal is missing.
+        When a force has no impact, too few samples follow one, or a signal is missing.
     UsageError
         When an argument is out of range.
     """
     group = [recordings] if isinstance(recordings, Recording) else list(recordings)
     _check_arguments(group, lags, harmonics, skip_s, start)
     h = group[0].sample_time
-    found = [find_impacts(force_of(rec, force, axis), h, rec.name) for rec in group]
+    forces = [_force(rec, force, axis) for rec in group]
+    found = [() if f is None else find_impacts(f, h, rec.name) for rec, f in zip(group, forces, strict=True)]
+    if not any(found):
+        if lags not in ("auto", 0):
+            raise UsageError(f"fit_ringdown: lags = {lags}; free decays have no force that acts through lags: give 0")
+        lags = 0
     counts = [harmonics_for(rec, harmonics) for rec in group]
     data = tuple(
-        ring_data(rec, position, impacts, pulses_of(force_of(rec, force, axis), impacts), count, round(skip_s / h))
-        for rec, impacts, count in zip(group, found, counts, strict=True)
+        ring_data(rec, position, impacts, () if f is None else pulses_of(f, impacts), count, round(skip_s / h))
+        for rec, f, impacts, count in zip(group, forces, found, counts, strict=True)
     )
     unit = float(np.sqrt(np.mean([np.mean(_after(d) ** 2) for d in data])))
     if unit == 0:
@@ -101,6 +109,13 @@ def fit_ringdown(
         solved = problem.solve(solved.theta)
         rms = _channel_rms(problem, solved)
     return _result(problem, solved, group, rms * unit, found, max(counts))
+
+
+def _force(recording: Recording, force: str | tuple[()], axis: str | None) -> FloatArray | None:
+    """Return the force, (n_samples, 2) [N]; None for a free decay."""
+    if not force:
+        return None
+    return force_of(recording, force, axis) if recording.signal(force).any() else None
 
 
 def _check_arguments(

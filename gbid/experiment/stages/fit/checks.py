@@ -8,7 +8,7 @@ from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.schema import FitSection
-from gbid.experiment.stages.fit.structures import make_structure, output_labels, structure_or_none
+from gbid.experiment.stages.fit.structures import fit_channels, make_structure, output_labels, structure_or_none
 from gbid.structure import Parameter, symbolic_matrices
 
 
@@ -88,12 +88,11 @@ def signals_are_there(experiment: Experiment) -> Found:
         structure = structure_or_none(experiment, name)
         if structure is None:
             continue
-        for key, given, own in (
-            ("inputs", section.inputs, structure.inputs),
-            ("outputs", section.outputs, structure.outputs),
+        for key, given, used in zip(
+            ("inputs", "outputs"), (section.inputs, section.outputs), fit_channels(experiment, name), strict=True
         ):
             where: Location = ("fits", name, key) if given else ("fits", name)
-            for wanted in given or own:
+            for wanted in used:
                 yield from ((where, text) for text in _missing(experiment, name, wanted))
 
 

@@ -12,6 +12,7 @@ from gbid.experiment.fields import (
     CountOrZero,
     Holds,
     Names,
+    NamesOrNone,
     NotNegative,
     Number,
     Positive,
@@ -67,14 +68,14 @@ class FitSection(Section):
     """One fit of a structure, to each recording or to all together; see `gbid.fit`.
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
-    again. `local` needs `together`.
+    again. `local` needs `together`. ``inputs: []`` is a free decay.
     """
 
     structure: Text
     options: StructureOptions = StructureOptions()
     recordings: Names | None = None
     together: Switch = False
-    inputs: Names | None = None
+    inputs: NamesOrNone | None = None
     outputs: Names | None = None
     focus: Literal["prediction", "simulation"] = "prediction"
     intersample: Holds | None = None

@@ -21,7 +21,7 @@ from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.fit.checks import FIT_CHECKS
 from gbid.experiment.stages.fit.option_checks import OPTION_CHECKS
 from gbid.experiment.stages.fit.plan import fit_models, recordings_of
-from gbid.experiment.stages.fit.structures import make_structure, structure_settings
+from gbid.experiment.stages.fit.structures import fit_channels, make_structure, structure_settings
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
 from gbid.hdf5 import read_attribute, read_dataset, reading
 from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
@@ -146,13 +146,14 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
     name, _, model = item.partition("/")
     structure = make_structure(job.experiment, name)
     section = job.experiment.spec.fits[name]
-    used = [*(section.inputs or structure.inputs), *(section.outputs or structure.outputs)]
+    inputs, outputs = fit_channels(job.experiment, name)
     data = []
     for recording in recordings_of(job.experiment, name, model):
         planned = job.experiment.recordings[recording]
         data.append(load_fit_input(job, planned))
         # The prefilter stage has checked prefiltered recordings already; only some kinds are checked here again.
-        refuse_bad_signals(planned, data[-1], used, kinds=_OWN_KINDS if job.experiment.spec.prefilter else None)
+        kinds = _OWN_KINDS if job.experiment.spec.prefilter else None
+        refuse_bad_signals(planned, data[-1], [*inputs, *outputs], kinds=kinds, driving=inputs)
     arguments = fit_arguments(job.experiment, name, data)
     if section.multi_start is None:
         result = fit(structure, data, progress=job.reporter.iteration, **arguments)

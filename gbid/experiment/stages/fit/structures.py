@@ -90,6 +90,22 @@ def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
         return None
 
 
+def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the inputs and outputs of a fit: those of its section, else those of its structure.
+
+    ``inputs: []`` is a free decay, without inputs.
+
+    Raises
+    ------
+    UsageError
+        When the structure is needed and cannot be made.
+    """
+    section = experiment.spec.fits[fit]
+    structure = make_structure(experiment, fit)
+    inputs = structure.inputs if section.inputs is None else section.inputs
+    return inputs, section.outputs or structure.outputs
+
+
 def output_labels(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
     """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
     labels: list[str] = []

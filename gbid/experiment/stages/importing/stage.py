@@ -10,7 +10,7 @@ from gbid.errors import DataError, GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, file_digest
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.recordings import recording_task, refuse_bad_signals, used_channels
+from gbid.experiment.recordings import driving_channels, recording_task, refuse_bad_signals, used_channels
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.importing.checks import data_can_be_read
@@ -47,7 +47,8 @@ def read_import(experiment: Experiment, planned: PlannedRecording) -> Recording:
     file = data_file(experiment, planned.imported)
     refuse_same_content(experiment, planned)
     recording = import_recording(file, mapping_of(planned.imported))
-    refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file)
+    driving = driving_channels(experiment, planned.name)
+    refuse_bad_signals(planned, recording, used_channels(experiment, planned.name), file, driving=driving)
     if not planned.imported.remove_mean:
         return recording
     centred = {name: values - values.mean(axis=0) for name, values in recording.signals.items()}

@@ -14,7 +14,7 @@ from gbid.errors import DataError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.recordings import load_made, recording_key, refuse_bad_signals, used_channels
+from gbid.experiment.recordings import driving_channels, load_made, recording_key, refuse_bad_signals, used_channels
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
@@ -99,7 +99,8 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
     except DataError as error:
         raise type(error)(f"no run-out map: {error}") from None
     raw = load_made(job, planned)
-    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name))
+    driving = driving_channels(job.experiment, planned.name)
+    refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
     if runout_map is not None and runout_map.needs_angle:
         refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
         if section.align_index:

@@ -1,0 +1,91 @@
+"""Inputs that do not move: a free decay, or a constant force."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from gbid.errors import DataError
+from gbid.identify.data import FitData
+from gbid.structure import LinearStructure, Parameter, Structure, symbolic_matrices
+
+
+def without_inputs(structure: Structure) -> Structure:
+    """Return a structure without its inputs, for free decays: the states, outputs and the disturbance gain remain."""
+    if not symbolic_matrices(structure)[1].B.shape[1]:
+        return structure
+
+    def matrices(p: Any) -> Mapping[str, Any]:
+        own = structure.matrices(p)
+        return {letter: own[letter] for letter in ("A", "C", "K") if letter in own}
+
+    return LinearStructure(
+        structure.name, structure.parameters, matrices, (), structure.outputs, intersample=structure.intersample
+    )
+
+
+def check_inputs_suffice(
+    structure: Structure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
+) -> None:
+    """Check that no free parameter acts only through inputs that do not move.
+
+    An input that is zero in all recordings determines neither its gain nor its delay. A constant input determines its
+    gain, but not its delay.
+
+    Parameters
+    ----------
+    structure : Structure
+        Structure of the fit, with its inputs.
+    data : FitData
+        Data of the fit.
+    parameters : sequence of Parameter
+        Parameters, with the fixed values of the caller.
+    no_inputs : bool
+        Whether the fit uses no input at all.
+
+    Raises
+    ------
+    DataError
+        When a free parameter is not determined; names it and the inputs.
+    """
+    _, m = symbolic_matrices(structure)
+    n_u = m.B.shape[1]
+    if no_inputs:
+        zero = still = np.ones(n_u, bool)
+    elif n_u == len(data.input_names):
+        zero = np.all([np.abs(record.inputs).max(0, initial=0.0) == 0 for record in data.records], axis=0)
+        still = np.all([np.ptp(record.inputs, axis=0) == 0 for record in data.records], axis=0)
+    else:
+        return  # another check reports the number of inputs
+    if not still.any():
+        return
+    driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
+    acting = [m.A, m.C, m.K, m.B[:, driven], m.D[:, driven], m.B_delayed[:, driven]]
+    acting += [m.delay[moving, :]] if m.has_delay else []
+    dark = _names(m) - _names(acting)
+    lost = [q.name for q in parameters if not q.fixed and q.name in dark]
+    if lost:
+        quiet = ", ".join(name for name, rests in zip(data.input_names, still, strict=False) if rests)
+        what = "without an input" if no_inputs else f"no recording moves {quiet}:"
+        raise DataError(
+            f"{what} the data do not determine {', '.join(lost)}; fix each (fixed=...), or add a recording with an "
+            "input that moves"
+        )
+
+
+def decay_notes(data: FitData) -> tuple[str, ...]:
+    """Return notes on inputs that do not move in a recording: a fit takes it as it is."""
+    return tuple(
+        f"recording {record.name!r}: input {name!r} is {column[0]:g} throughout, "
+        + ("a free decay" if column[0] == 0 else "a constant force")
+        for record in data.records
+        for name, column in zip(data.input_names, record.inputs.T, strict=True)
+        if np.ptp(column) == 0
+    )
+
+
+def _names(matrices: Sequence[ca.SX]) -> set[str]:
+    return {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))}

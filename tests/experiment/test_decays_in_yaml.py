@@ -1,0 +1,72 @@
+"""Free decays in an experiment: `inputs: []`, or an input that is zero throughout."""
+
+import numpy as np
+import pytest
+from experiment_files import gbid
+
+from gbid.identify import load_fit
+
+STRUCTURE = """\
+from gbid import LinearStructure, Parameter
+
+
+def matrices(p):
+    return {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
+
+
+own = [Parameter("k", 3500.0), Parameter("d", 1.0), Parameter("b", 1.0)]
+structure = LinearStructure("spring", own, matrices, "force")
+"""
+YAML = """\
+format: 1
+name: decays
+results: results
+import:
+  data_folder: data
+  recordings:
+    - {{name: one, file: one.csv, sample_time_s: 1.0e-3, signals: {{{signals}}}}}
+    - {{name: two, file: two.csv, sample_time_s: 1.0e-3, signals: {{{signals}}}}}
+fits:
+  spring:
+    structure: structure.py:structure
+    recordings: [one, two]
+    focus: simulation
+    together: true
+    {options}
+crossval:
+  spring: {{on: [one, two]}}
+"""
+OUTPUT = "y: {columns: y, unit: m}"
+INPUT = "force: {columns: u, unit: N}"
+GIVEN = {
+    "no input": (OUTPUT, "inputs: []\n    fixed: {b: 1.0}"),
+    "input of zero": (f"{OUTPUT}, {INPUT}", "fixed: {b: 1.0}"),
+}
+
+
+def write(folder, signals, options):
+    (folder / "data").mkdir()
+    rng = np.random.default_rng(0)
+    t = 1e-3 * np.arange(1500)
+    for name, phase in (("one", 0.0), ("two", 1.0)):
+        y = np.exp(-1.5 * t) * np.cos(np.sqrt(4000 - 1.5**2) * t + phase) + 0.01 * rng.standard_normal(len(t))
+        columns = np.column_stack([y, np.zeros_like(t)])
+        np.savetxt(folder / "data" / f"{name}.csv", columns, delimiter=",", header="y,u", comments="")
+    (folder / "structure.py").write_text(STRUCTURE)
+    (folder / "own.yaml").write_text(YAML.format(signals=signals, options=options))
+    return folder / "own.yaml"
+
+
+@pytest.mark.parametrize("how", GIVEN)
+def test_decays_are_fitted_from_the_yaml(tmp_path, how):
+    path = write(tmp_path, *GIVEN[how])
+    assert gbid("run", path) == 0
+    result = load_fit(tmp_path / "results" / "fits" / "spring" / "together.h5")
+    assert result.success
+    for name, true in (("k", 4000.0), ("d", 3.0)):
+        assert abs(result.parameters[name] - true) < 4 * result.std[name]
+
+
+def test_a_gain_without_input_is_named(tmp_path, capsys):
+    assert gbid("run", write(tmp_path, OUTPUT, "inputs: []")) == 3
+    assert "do not determine b" in "".join(capsys.readouterr())
