@@ -13,7 +13,8 @@ from gbid.cli.check import check
 from gbid.cli.exporting import export
 from gbid.cli.figures import figures
 from gbid.cli.fit import fit
-from gbid.cli.groups import IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.groups import DATA, IDENTIFY, REPORT, START, GroupedCommands, examples
+from gbid.cli.importing import import_recordings
 from gbid.cli.new import new
 from gbid.cli.report import report
 from gbid.cli.reproduce import reproduce
@@ -65,6 +66,11 @@ app.command(
 app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
     schema
 )
+app.command(
+    "import",
+    rich_help_panel=DATA,
+    epilog=examples("gbid import rig2/experiment.yaml", "gbid import --peek measured/run_07.tdms"),
+)(import_recordings)
 app.command("fit", rich_help_panel=IDENTIFY, epilog=examples("gbid fit rig1/experiment.yaml --only bearing"))(fit)
 app.command(
     "batch",

@@ -34,7 +34,8 @@ class StageVerb:
     hint: str = ""
 
 
-_OR_RUN = ", or use `gbid run`"
+OR_RUN = ", or use `gbid run`"
+"""What a verb that makes recordings advises when the YAML has no such section."""
 
 STAGE_VERBS = (
     StageVerb(
@@ -43,15 +44,7 @@ STAGE_VERBS = (
         "Make the recordings of the rig section.",
         ("rig",),
         ("gbid rig rig1/experiment.yaml --overwrite",),
-        _OR_RUN,
-    ),
-    StageVerb(
-        "import",
-        DATA,
-        "Read the recordings of the import section.",
-        ("import",),
-        ("gbid import rig2/experiment.yaml",),
-        _OR_RUN,
+        OR_RUN,
     ),
     StageVerb(
         "static",

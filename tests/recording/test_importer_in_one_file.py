@@ -1,11 +1,13 @@
 """A new importer is one file in a room: import, check, folder patterns and messages find it there."""
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import gbid
+from gbid.cli.main import app
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.problems import ExperimentError
@@ -17,7 +19,7 @@ FORMAT = '''
 
 from gbid.errors import DataError
 from gbid.recording.importers.columns import FileColumn
-from gbid.recording.importers.file_format import FileFormat
+from gbid.recording.importers.file_format import FileChannel, FileFormat
 
 
 def read_dat(path, references):
@@ -31,7 +33,12 @@ def read_dat(path, references):
     return {name: FileColumn(values[:, names.index(name)]) for name in references}
 
 
-FORMAT = FileFormat((".dat", ".prn"), read_dat)
+def dat_channels(path):
+    names, *rows = path.read_text(encoding="utf-8").splitlines()
+    return [FileChannel(name, len(rows)) for name in names.split()]
+
+
+FORMAT = FileFormat((".dat", ".prn"), read_dat, dat_channels)
 '''
 MAPPING = {"sample_time_s": 1e-3, "signals": {"force": {"columns": ["f"], "unit": "N"}}}
 IMPORT = """\
@@ -78,10 +85,19 @@ def test_an_experiment_reads_it(dat, measured: Path, tmp_path: Path) -> None:
 
 
 def test_without_the_file_it_is_unknown(measured: Path, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"unknown file ending '\.dat'; expected one of \.csv, \.mat, \.npz"):
+    with pytest.raises(
+        DataError, match=r"unknown file ending '\.dat'; expected one of \.parquet, .*\.csv, .*\.mat, .*\.npz"
+    ):
         gbid.import_recording(measured, MAPPING)
     path = tmp_path / "own.yaml"
     path.write_text(IMPORT, encoding="utf-8")
     with pytest.raises(ExperimentError, match=r"unknown ending '\.dat'"):
         load_experiment(path)
     assert ".dat" not in file_formats()
+
+
+def test_its_channels_are_listed(dat, measured: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="0"):
+        app(["import", "--peek", str(measured), "--json"], prog_name="gbid")
+    listed = json.loads(capsys.readouterr().out)["channels"]
+    assert [(row["channel"], row["samples"]) for row in listed] == [("t", 200), ("f", 200)]

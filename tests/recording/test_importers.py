@@ -390,7 +390,7 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
         refused(tmp_path / f"none.{kind}", mapping, "cannot be read: No such file")
     (tmp_path / "dir.csv").mkdir()
     refused(tmp_path / "dir.csv", mapping, "directory")
-    refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of .csv, .mat, .npz")
+    refused(tmp_path / "a.xlsx", mapping, "unknown file ending '.xlsx'; expected one of", ".csv, ", ".npz, ")
     refused(tmp_path / "a", mapping, "unknown file ending ''")
 
 
@@ -451,10 +451,10 @@ def test_mappings_of_both_forms_are_equal():
 def test_the_mappings_of_the_file_format_page_are_valid():
     page = (DOCS / "file-formats.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```yaml\n(.*?)```", page, flags=re.DOTALL)
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         entries = YAML(typ="safe").load(block)
-        assert Path(entries.pop("file")).suffix in (".csv", ".npz", ".mat")
+        assert Path(entries.pop("file")).suffix in (".csv", ".npz", ".mat", ".tdms")
         assert ImportMapping.from_dict(entries).all_columns()
 
 

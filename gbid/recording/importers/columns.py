@@ -1,17 +1,22 @@
-"""Column of a file with its unit, and the notation ``name[3]`` for one column of an array."""
+"""Columns of a file: their values and units, their names, and the notation ``name[3]`` for one column of an array."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
+from gbid.recording.importers.mapping import nearest
 
+MAX_JITTER = 0.01
+"""Largest relative deviation of a time step from the median step; a larger one is a jump of the clock."""
 _INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
+_NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
 
 
 class FileColumn(NamedTuple):
@@ -23,10 +28,13 @@ class FileColumn(NamedTuple):
         Numbers as in the file.
     unit : str or None
         Unit given by the file; None when the file gives none.
+    sample_time : float or None
+        Time between samples that the file states for this column [s]; None when it states none.
     """
 
     values: FloatArray
     unit: str | None = None
+    sample_time: float | None = None
 
 
 def split_reference(reference: str) -> tuple[str, int | None]:
@@ -84,3 +92,48 @@ def pick_column(path: Path, reference: str, value: object, row_vectors: bool = F
     if index >= shape[1]:
         raise DataError(f"{where} {name} has shape {shape}; columns count from 0 to {shape[1] - 1}")
     return np.array(value[:, index], dtype=float)
+
+
+def name_and_unit(heading: str) -> tuple[str, str | None]:
+    """Return name and unit of a heading like ``u_x [um]`` or ``u_x (um)``; without brackets the unit is None."""
+    match = _NAME_UNIT.fullmatch(heading)
+    if not match:
+        return heading, None
+    return match["name"], (match["square"] if match["square"] is not None else match["round"]).strip()
+
+
+def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
+    """Return the index of a column, named by its whole heading or by its name without unit.
+
+    Raises
+    ------
+    DataError
+        When there is no such column, or when several have this name.
+    """
+    if reference in headings:
+        return headings.index(reference)
+    names = [name_and_unit(heading)[0] for heading in headings]
+    found = [i for i, name in enumerate(names) if name == reference]
+    if len(found) > 1:
+        cells = ", ".join(repr(headings[i]) for i in found)
+        raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole heading")
+    if not found:
+        raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
+    return found[0]
+
+
+def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
+    """Return durations (numpy.timedelta64) in seconds, and dates (numpy.datetime64) in seconds from the first."""
+    if times.dtype.kind == "M" and times.size:
+        times = times - times.flat[0]
+    return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
+
+
+def even_step(values: FloatArray) -> float | None:
+    """Return the median step of a column that rises in even steps, as a time column does; otherwise None."""
+    steps = np.diff(values)
+    if not steps.size or not np.isfinite(steps).all():
+        return None
+    median = float(np.median(steps))
+    even = median > 0 and bool((np.abs(steps - median) <= MAX_JITTER * median).all())
+    return median if even else None

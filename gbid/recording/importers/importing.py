@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,19 +13,16 @@ from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
+from gbid.recording.importers.file_units import file_unit, unit_factor
 from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
+from gbid.recording.importers.sample_time import sample_time_of
 from gbid.recording.recording import Recording
-from gbid.units import SIGNALS, conversion_factor
-
-MAX_JITTER = 0.01
-"""Largest relative deviation of a time step from the median step; a larger one is a jump of the clock."""
-MAX_DISAGREEMENT = 1e-3
-"""Largest relative difference between sample_time and the time column."""
+from gbid.units import SIGNALS
 
 
 def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
-    """Return a recording read from a csv, npz or mat file.
+    """Return a recording read from a file of another program: csv, npz, mat, HDF5, TDMS, MDF, Parquet or Feather.
 
     Parameters
     ----------
@@ -45,7 +41,8 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     Raises
     ------
     UsageError
-        When the mapping is malformed or its units do not fit.
+        When the mapping is malformed or its units do not fit, or when the package that reads the format is not
+        installed.
     DataError
         When the file cannot be read or does not contain what the mapping names. The text gives file, column and
         value.
@@ -63,9 +60,9 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
     start, stop = _range(path, mapping, columns)
-    columns = {name: FileColumn(c.values[start:stop], c.unit) for name, c in columns.items()}
+    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
     _check_finite(path, columns, start)
-    sample_time = _sample_time(path, mapping, columns, start)
+    sample_time = sample_time_of(path, mapping, columns, start)
     signals, units = {}, {}
     for name, signal in mapping.signals.items():
         signals[name], units[name] = _signal(path, name, signal, columns)
@@ -117,57 +114,13 @@ def _range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -
 
 
 def _check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
-    for name, (values, _) in columns.items():
+    for name, (values, *_) in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
             raise DataError(
                 f"{path}: column {name!r} holds {bad.size} values that are not finite, the first "
                 f"{values[bad[0]]} at sample {start + bad[0]}; leave those samples out or repair them"
             )
-
-
-def _sample_time(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], start: int) -> float:
-    """Return the sample time [s] from the mapping or the time column; check that they agree when both are given."""
-    if mapping.time is None:
-        assert mapping.sample_time is not None  # checked by ImportMapping
-        return mapping.sample_time
-    time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
-    if len(time) < 2:
-        raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
-    steps = np.diff(time)
-    median = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (np.abs(steps - median) > MAX_JITTER * abs(median)))
-    if bad.size:
-        k = bad[0]
-        raise DataError(
-            f"{path}: time column {mapping.time!r} jumps at sample {start + k + 1}: step {steps[k]:g} s, "
-            f"median step {median:g} s ({bad.size} such steps); cut them off with samples, or give sample_time "
-            "instead if only the column is rounded"
-        )
-    # Rounded to twelve digits: rounding in the column would make equal sample times differ in the last bits.
-    mean = float(f"{(time[-1] - time[0]) / len(steps):.12g}")
-    if mapping.sample_time is None:
-        return mean
-    if abs(mean - mapping.sample_time) > MAX_DISAGREEMENT * mapping.sample_time:
-        raise DataError(
-            f"{path}: sample_time = {mapping.sample_time:g} s, but time column {mapping.time!r} has steps of "
-            f"{mean:g} s; correct or leave out one of them"
-        )
-    return mapping.sample_time
-
-
-def time_factor(path: Path, mapping: ImportMapping, column: FileColumn) -> float:
-    """Return the number of seconds in one unit of the time column.
-
-    Raises
-    ------
-    DataError
-        When file and mapping give different units.
-    UsageError
-        When the unit is not a unit of time.
-    """
-    what = f"time column {mapping.time!r}"
-    return _factor(path, what, _file_unit(path, what, mapping.time_unit, column.unit) or "s", "s")
 
 
 def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, FileColumn]) -> tuple[FloatArray, str]:
@@ -177,7 +130,7 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
     units = {}
     for column in signal.columns:
         what = f"signal {name!r}, column {column!r}"
-        unit = _file_unit(path, what, signal.unit, columns[column].unit)
+        unit = file_unit(path, what, signal.unit, columns[column].unit)
         if unit is None and stored:
             instead = f"; {_another(name, '...')}" if known and signal.stored_unit is None else ""
             text = f"{path}: {what} has no unit; give unit in the mapping (it is stored in {stored}){instead}"
@@ -188,7 +141,7 @@ def _signal(path: Path, name: str, signal: SignalMapping, columns: dict[str, Fil
     values = []
     for column in signal.columns:
         try:
-            factor = _factor(path, f"signal {name!r}, column {column!r}", units[column], stored)
+            factor = unit_factor(path, f"signal {name!r}, column {column!r}", units[column], stored)
         except UsageError as error:
             if known is None or signal.stored_unit is not None:
                 raise
@@ -201,23 +154,3 @@ def _another(name: str, unit: str) -> str:
     """Return what to do when a signal has the name of one of the rig, and is another quantity."""
     known = SIGNALS[name]
     return f"if it is not the {known.long_name} [{known.unit}], rename the signal, or give stored_unit: {unit or '...'}"
-
-
-def _file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:
-    """Return the unit of the numbers in the file; check that mapping and header do not contradict each other."""
-    if mapped is None or given is None or mapped == given:
-        return given if mapped is None else mapped
-    try:
-        same = math.isclose(conversion_factor(given, mapped), 1.0, rel_tol=1e-9)
-    except UsageError:
-        same = False
-    if not same:
-        raise DataError(f"{path}: {what}: the header says {given!r}, the mapping {mapped!r}; correct one of them")
-    return mapped
-
-
-def _factor(path: Path, what: str, unit: str, target: str) -> float:
-    try:
-        return conversion_factor(unit, target)
-    except UsageError as error:
-        raise UsageError(f"{path}: {what}: {error}") from None

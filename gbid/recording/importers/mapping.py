@@ -21,6 +21,7 @@ class SignalMapping:
         Columns in the order of the channels, one for each channel. In a csv file these are names in the header line.
         In an npz or mat file they are variables (``"u_x"``) or columns of an (n_samples, n_channels) array
         (``"noise[0]"``, counted from 0). Fields of a MATLAB struct or object have dotted names (``"data.u[0]"``).
+        `gbid import --peek FILE` shows the names of any file.
     unit : str, optional
         Unit of the numbers in the file. When it is not given, the unit in the csv header is used.
     stored_unit : str, optional
@@ -73,8 +74,9 @@ class ImportMapping:
     sample_time : float, optional
         Time between samples [s].
     time : str, optional
-        Column of the sample times, named as in `SignalMapping.columns`. One of `sample_time` and `time` must be given.
-        When both are given, they must agree within 0.1 %, and `sample_time` is stored.
+        Column of the sample times, named as in `SignalMapping.columns`. One of `sample_time` and `time` must be given,
+        unless the file itself states the sample time of its channels (TDMS, MDF). Where several give it, they must
+        agree within 0.1 %, and `sample_time` is stored.
     time_unit : str, optional
         Unit of the time column. When it is not given, it is the unit in the csv header, otherwise ``"s"``.
     conditions : dict of str to float, optional
@@ -106,8 +108,6 @@ class ImportMapping:
         for key, value in self.conditions.items():
             if not _is_number(value):
                 raise UsageError(f"conditions: {key}: expected a number, found {value!r}")
-        if self.sample_time is None and self.time is None:
-            raise UsageError("neither sample_time nor time is given; give the sample time or the time column")
         if self.sample_time is not None and not (_is_number(self.sample_time) and self.sample_time > 0):
             raise UsageError(f"sample_time: expected a positive number of seconds, found {self.sample_time!r}")
         if self.time is None and self.time_unit is not None:

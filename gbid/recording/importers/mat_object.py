@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from gbid.recording.importers.columns import seconds
+
 SAVE_PLAIN = "save plain arrays in MATLAB: u = data.u; y = data.y; save('plain.mat','u','y','-v7')"
 """What helps with every object: arrays and structs are read from all files."""
 
@@ -66,7 +68,7 @@ def opened(value: Any, inside: Any = None) -> Any:
         if isinstance(inside, MatObject) and value.dtype == object and value.size == 1:
             return opened(value.flat[0])
         if value.dtype.kind in "mM":
-            return _seconds(value)
+            return seconds(value)
     return value
 
 
@@ -102,11 +104,4 @@ def _table(frame: Any) -> tuple[str, dict[str, Any]]:
     fields = {str(name): frame[name].to_numpy()[:, None] for name in frame.columns}
     if frame.index.dtype.kind not in "mM":
         return "table", fields
-    return "timetable", {str(frame.index.name or "Time"): _seconds(frame.index.to_numpy()[:, None]), **fields}
-
-
-def _seconds(times: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """Return durations in seconds, and dates in seconds from the first of them."""
-    if times.dtype.kind == "M" and times.size:
-        times = times - times.flat[0]
-    return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
+    return "timetable", {str(frame.index.name or "Time"): seconds(frame.index.to_numpy()[:, None]), **fields}

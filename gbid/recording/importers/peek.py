@@ -1,4 +1,4 @@
-"""Quick check of a file before its import: its completeness, columns, length and sample time."""
+"""Look into a file before its import: its channels; its completeness, length and sample time."""
 
 from __future__ import annotations
 
@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from gbid.errors import DataError
-from gbid.recording.importers.importing import file_format, time_factor
+from gbid.recording.importers.file_format import FileChannel
+from gbid.recording.importers.importing import file_format
 from gbid.recording.importers.mapping import ImportMapping
+from gbid.recording.importers.sample_time import time_factor, untimed_sample_time
 
 
 @dataclass(frozen=True)
@@ -26,10 +28,36 @@ class Peek:
     sample_time: float
 
 
+def list_channels(path: Path) -> list[FileChannel]:
+    """Return all channels of a file of another program, with their names, lengths, units and sample times.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file; its ending decides the reader.
+
+    Returns
+    -------
+    list of FileChannel
+        In the order of the file. Names are those that a mapping takes.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read, is damaged or of another kind.
+    UsageError
+        When the package that reads the format is not installed.
+    """
+    try:
+        return file_format(path).channels(path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
 def peek(path: Path, mapping: ImportMapping) -> Peek:
     """Return the length and sample time of a file that is to be imported, without importing it.
 
-    Of a csv file the header, the first and the last row are read. Of npz and mat files the columns are read.
+    Of a csv file the header, the first and the last row are read. Of other files the columns are read.
 
     Parameters
     ----------
@@ -66,9 +94,11 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
     stop = n if stop is None else stop
     if not start < stop <= n:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples; correct them")
-    sample_time = mapping.sample_time
-    if sample_time is None:
-        assert mapping.time is not None  # checked by ImportMapping
+    if mapping.time is None:
+        sample_time = untimed_sample_time(path, mapping, columns)
+    elif mapping.sample_time is not None:
+        sample_time = mapping.sample_time
+    else:
         values = columns[mapping.time].values
         span = float(values[-1] - values[0]) * time_factor(path, mapping, columns[mapping.time])
         if not span > 0 or n < 2:

@@ -1,10 +1,11 @@
-"""Tables of recordings, and of the corrections by the prefilter."""
+"""Tables of recordings, of the channels of a file, and of the corrections by the prefilter."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
 from gbid.prefilter import PrefilterReport
+from gbid.recording.importers.file_format import FileChannel
 from gbid.report.tables.fit_document import Row
 from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Column, Table
@@ -27,6 +28,40 @@ def recording_table(rows: Sequence[Row]) -> Table:
         conditions = ", ".join(f"{key} {value:g}" for key, value in row["conditions"].items())
         laid.append([row["name"], row["samples"], row["duration_s"], conditions, row["state"]])
     return Table("recordings", columns, laid)
+
+
+def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
+    """Return the channels of a file of another program as plain values."""
+    return [
+        {
+            "channel": channel.name,
+            "samples": channel.n_samples,
+            "unit": channel.unit,
+            "sample_time_s": channel.sample_time,
+            "rate_hz": None if channel.sample_time is None else 1.0 / channel.sample_time,
+            "step": channel.step,
+            "remark": channel.remark,
+        }
+        for channel in channels
+    ]
+
+
+def channel_table(name: str, rows: Sequence[Row]) -> Table:
+    """Return the table of the channels of a file, from `channel_rows`."""
+    columns = [
+        Column("channel"),
+        Column("samples", format="d"),
+        Column("unit"),
+        Column("sample time", "s", ".6g"),
+        Column("rate", "Hz", ".6g"),
+        Column("remark", wrap=True),
+    ]
+    laid = []
+    for row in rows:
+        even = f"rises in even steps of {row['step']:.6g}" if row["step"] is not None else ""
+        remark = row["remark"] or even
+        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], remark])
+    return Table(name, columns, laid)
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gbid.errors import UsageError
+from gbid.extras import extra_package
 from gbid.structure.numeric.state_space import StateSpace
 
 
@@ -21,7 +22,7 @@ def scipy_state_space(model: StateSpace) -> Any:
 
 def control_state_space(model: StateSpace) -> Any:
     """Return the model as ``control.StateSpace``; see `LinearModel.to_control`."""
-    control = _python_control()
+    control = extra_package("control", "control", f"model {model.name!r}: conversion to python-control")
     _refuse_delays(model, "python-control")
     return control.StateSpace(
         *(np.array(m) for m in (model.A, model.B, model.C, model.D)),
@@ -54,14 +55,6 @@ def from_state_space(system: Any, name: str | None) -> dict[str, Any]:
         "state_names": tuple(system.state_labels),
         "name": system.name if name is None else name,
     }
-
-
-def _python_control() -> Any:
-    try:
-        import control
-    except ImportError:
-        raise UsageError("python-control is not installed; install the extra: pip install 'gbid[control]'") from None
-    return control
 
 
 def _refuse_delays(model: StateSpace, library: str) -> None:

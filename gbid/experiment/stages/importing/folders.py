@@ -24,6 +24,7 @@ from gbid.experiment.stages.importing.schema import (
 from gbid.recording.importers.formats import file_formats
 
 POINT = ("pressure_bar", "speed_rpm")
+_RESULTS = (".h5", ".hdf5")  # endings of our own results, which may lie in the same folder
 _NAMED = 5  # largest number of files without match that are listed
 
 
@@ -127,9 +128,8 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         yield f"{section.pattern!r} has no field {point}; write {{{point}:g}} into it, or give it in conditions"
         return
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
-    there = sorted(
-        (p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in file_formats()), key=_by_count
-    )
+    endings = {ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS}
+    there = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=_by_count)
     seen = [name for name in there if not any(fnmatchcase(name, p) for p in section.ignore or ()) and name not in skip]
     unmatched = []
     matched = 0

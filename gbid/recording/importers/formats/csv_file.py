@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,11 +11,8 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.recording.importers.columns import FileColumn
-from gbid.recording.importers.file_format import FileFormat
-from gbid.recording.importers.mapping import nearest
-
-_NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
+from gbid.recording.importers.columns import FileColumn, even_step, find_heading, name_and_unit
+from gbid.recording.importers.file_format import FileChannel, FileFormat
 
 
 def read_csv(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
@@ -48,9 +44,9 @@ def read_csv(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
     numbers = [number for number, _ in lines[1:]]
     columns = {}
     for reference in references:
-        index = _find(path, header, reference)
+        index = find_heading(path, header, reference)
         columns[reference] = FileColumn(
-            _numbers(path, header[index], [row[index] for row in rows], numbers), _unit(header[index])
+            _numbers(path, header[index], [row[index] for row in rows], numbers), name_and_unit(header[index])[1]
         )
     return columns
 
@@ -89,10 +85,41 @@ def peek_csv(path: Path, references: Sequence[str]) -> tuple[int, dict[str, File
             )
     columns = {}
     for reference in references:
-        index = _find(path, header, reference)
+        index = find_heading(path, header, reference)
         cells, numbers = [row[index] for row in rows], [number for number, _ in ends[1:]]
-        columns[reference] = FileColumn(_numbers(path, header[index], cells, numbers), _unit(header[index]))
+        columns[reference] = FileColumn(_numbers(path, header[index], cells, numbers), name_and_unit(header[index])[1])
     return len(lines) - 1, columns
+
+
+def csv_channels(path: Path) -> list[FileChannel]:
+    """Return the columns of a csv file, with the units of their headings.
+
+    Raises
+    ------
+    DataError
+        When the file is not UTF-8 text, or when it has no header line or no rows.
+    """
+    lines = _lines(path)
+    if len(lines) < 2:
+        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines")
+    try:
+        header, *rows = csv.reader(
+            (text for _, text in lines), delimiter=_delimiter(lines), skipinitialspace=True, strict=True
+        )
+    except csv.Error as error:
+        raise DataError(f"{path}: not readable as csv: {error}") from None
+    header = [cell.strip() for cell in header]
+    _check_header(path, header)
+    names = [name_and_unit(cell)[0] for cell in header]
+    channels = []
+    for i, heading in enumerate(header):
+        name = names[i] if names.count(names[i]) == 1 else heading
+        cells = [row[i] if i < len(row) else "" for row in rows]
+        numbers = all(_is_number(cell) for cell in cells)
+        step = even_step(np.array([float(cell) for cell in cells])) if numbers else None
+        remark = "" if numbers else "not all cells are numbers"
+        channels.append(FileChannel(name, len(rows), name_and_unit(heading)[1], None, step, remark))
+    return channels
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
@@ -130,32 +157,6 @@ def _check_header(path: Path, header: list[str]) -> None:
         raise DataError(f"{path}: the header line has column {twice[0]!r} more than once; rename one")
 
 
-def _find(path: Path, header: list[str], reference: str) -> int:
-    """Return the index of a column, by its whole header cell or by its name without unit."""
-    if reference in header:
-        return header.index(reference)
-    names = [_name(cell) for cell in header]
-    found = [i for i, name in enumerate(names) if name == reference]
-    if len(found) > 1:
-        cells = ", ".join(repr(header[i]) for i in found)
-        raise DataError(f"{path}: column {reference!r} may be any of {cells}; give the whole header cell")
-    if not found:
-        raise DataError(f"{path}: no column {reference!r}; {nearest(reference, [n for n in names if n])}")
-    return found[0]
-
-
-def _name(cell: str) -> str:
-    match = _NAME_UNIT.fullmatch(cell)
-    return match["name"] if match else cell
-
-
-def _unit(cell: str) -> str | None:
-    match = _NAME_UNIT.fullmatch(cell)
-    if not match:
-        return None
-    return (match["square"] if match["square"] is not None else match["round"]).strip()
-
-
 def _is_number(cell: str) -> bool:
     try:
         float(cell)
@@ -179,4 +180,4 @@ def _numbers(path: Path, name: str, cells: list[str], lines: list[int]) -> Float
     raise DataError(f"{where} {cells[row]!r} is not a number{hint}")
 
 
-FORMAT = FileFormat((".csv",), read_csv, peek_csv)
+FORMAT = FileFormat((".csv",), read_csv, csv_channels, peek_csv)

@@ -8,10 +8,13 @@ from pathlib import Path
 from typing import Any
 
 from gbid.errors import DataError
+from gbid.recording.importers.array_channels import array_channels
 from gbid.recording.importers.columns import FileColumn, pick_column, split_reference
-from gbid.recording.importers.file_format import FileFormat
+from gbid.recording.importers.file_format import FileChannel, FileFormat
 from gbid.recording.importers.mapping import nearest
 from gbid.recording.importers.mat_object import SAVE_PLAIN, MatObject, class_of, opened
+
+_DEPTH = 5  # of nested structs that are listed
 
 
 def read_mat(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
@@ -42,8 +45,33 @@ def read_mat(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
     return columns
 
 
-def _load(path: Path, roots: list[str]) -> tuple[dict[str, Any], dict[str, str]]:
-    """Return the variables, and the classes of all variables by name."""
+def mat_channels(path: Path) -> list[FileChannel]:
+    """Return the channels of a MATLAB file, also those in structs, objects and tables.
+
+    Raises
+    ------
+    DataError
+        When the file is damaged or not a MATLAB file.
+    """
+    with path.open("rb"):
+        pass
+    variables, classes = _load(path, None)
+    found = [channel for name in classes for channel in _listed(name, opened(variables[name]))]
+    return [channel for channel in found if channel.n_samples or channel.remark]
+
+
+def _listed(name: str, value: Any, depth: int = 0) -> list[FileChannel]:
+    """Return the channels of a variable; those of structs and objects down to a few levels."""
+    if isinstance(value, Mapping) and depth < _DEPTH:
+        inside = [_listed(f"{name}.{field}", opened(value[field], inside=value), depth + 1) for field in value]
+        return [channel for channels in inside for channel in channels]
+    if kind := class_of(value):
+        return [FileChannel(name, 0, remark=f"MATLAB {kind}: not read")]
+    return array_channels(name, value, row_vectors=True)
+
+
+def _load(path: Path, roots: list[str] | None) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the variables (all, when no roots are given), and the classes of all variables by name."""
     classes: dict[str, str] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of an option of pandas, and of objects returned as they are stored
@@ -51,10 +79,10 @@ def _load(path: Path, roots: list[str]) -> tuple[dict[str, Any], dict[str, str]]
 
         try:
             classes = {name: str(kind) for name, (_, kind) in whosmat(str(path)).items()}
-            wanted = [name for name in roots if name in classes]
+            wanted = [name for name in classes if roots is None or name in roots]
             return (load_from_mat(str(path), variable_names=wanted) if wanted else {}), classes
         except Exception as error:  # a damaged file can raise any kind of error in the reader
-            there = ", ".join(f"{name} ({classes[name]})" for name in roots if name in classes)
+            there = ", ".join(f"{name} ({classes[name]})" for name in classes if roots and name in roots)
             which = f" at {there}" if there else ""
             raise DataError(
                 f"{path}: not a readable MATLAB file{which} (truncated or of another format): {error}; {SAVE_PLAIN}"
@@ -84,4 +112,4 @@ def _rather(value: Any) -> str:
     return (f"name one of its fields, there is {', '.join(fields[:30])}; or " if fields else "") + SAVE_PLAIN
 
 
-FORMAT = FileFormat((".mat",), read_mat)
+FORMAT = FileFormat((".mat",), read_mat, mat_channels)

@@ -1,0 +1,42 @@
+"""Import of an optional package, or one clear line that says which extra to install."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from gbid.errors import UsageError
+
+
+def extra_package(module: str, extra: str, what: str) -> Any:
+    """Return an optional package.
+
+    Parameters
+    ----------
+    module : str
+        Name for the import.
+    extra : str
+        Extra of gbid that installs it.
+    what : str
+        What needs it, as the subject of the message.
+
+    Raises
+    ------
+    UsageError
+        When it is not installed, or when it fails on its import.
+    """
+    name = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name != name:
+            raise UsageError(f"{what}: package {name!r} lacks {error.name!r}; {_install(extra)}") from error
+        raise UsageError(f"{what}: package {name!r} is not installed; {_install(extra)}") from None
+    except Exception as error:  # a package can fail in any way with another version of what it needs
+        reason = str(error).strip().splitlines()[-1:] or [""]
+        text = f"{what}: package {name!r} fails on its import: {type(error).__name__}: {reason[0]}; {_install(extra)}"
+        raise UsageError(text) from error
+
+
+def _install(extra: str) -> str:
+    return f"install the extra: pip install 'gbid[{extra}]'"

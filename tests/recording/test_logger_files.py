@@ -1,0 +1,275 @@
+"""Files of loggers and of other programs: TDMS, MDF, Parquet, Feather, HDF5; their import and their listing."""
+
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+import gbid
+from gbid.cli.main import app
+from gbid.errors import DataError, UsageError
+from gbid.recording.importers.peek import list_channels
+
+N, DT = 500, 2e-4
+RNG = np.random.default_rng(8)
+X, Y, SLOW = RNG.standard_normal(N), RNG.standard_normal(N), RNG.standard_normal(N // 10)
+T = DT * np.arange(N)
+XY = {"columns": ["p_x", "p_y"], "unit": "um"}
+
+
+def write_tdms(path: Path) -> Path:
+    nptdms = pytest.importorskip("nptdms", reason="nptdms is not installed: pip install 'gbid[tdms]'")
+    wave = {"wf_increment": DT, "wf_samples": N, "unit_string": "um"}
+    slow = {"wf_increment": 10 * DT, "NI_UnitDescription": "bar"}
+    with nptdms.TdmsWriter(str(path)) as writer:
+        writer.write_segment(
+            [
+                nptdms.ChannelObject("fast", "p_x", X, properties=wave),
+                nptdms.ChannelObject("fast", "p_y", Y, properties=wave),
+                nptdms.ChannelObject("slow", "pressure", SLOW, properties=slow),
+                nptdms.ChannelObject("slow", "p_x", SLOW, properties=slow),
+                nptdms.ChannelObject("slow", "note", ["a", "b"]),
+            ]
+        )
+    return path
+
+
+def write_mf4(path: Path) -> Path:
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
+    fast = [asammdf.Signal(v, T, unit="um", name=name) for name, v in (("p_x", X), ("p_y", Y))]
+    slow = [asammdf.Signal(SLOW, 10 * T[: N // 10], unit="bar", name=name) for name in ("pressure", "p_x")]
+    slow.append(asammdf.Signal(np.array([b"on"] * (N // 10)), 10 * T[: N // 10], name="note", encoding="utf-8"))
+    with asammdf.MDF(version="4.10") as file:
+        file.append(fast, acq_name="fast", common_timebase=True)
+        file.append(slow, acq_name="slow", common_timebase=True)
+        file.save(path, overwrite=True)
+    return path
+
+
+def arrow_table():
+    pa = pytest.importorskip("pyarrow", reason="pyarrow is not installed: pip install 'gbid[arrow]'")
+    fields = [
+        pa.field("t [s]", pa.float64()),
+        pa.field("p_x", pa.float64(), metadata={"unit": "um"}),
+        pa.field("p_y [um]", pa.float64()),
+        pa.field("u", pa.list_(pa.float64(), 2)),
+        pa.field("when", pa.timestamp("us")),
+        pa.field("holed", pa.float64()),
+        pa.field("note", pa.string()),
+    ]
+    pairs = np.column_stack([X, Y]).tolist()
+    when = (np.datetime64("2026-01-05T10:00:00", "us") + np.round(1e6 * T).astype("timedelta64[us]")).tolist()
+    holed = [None, *X[1:].tolist()]
+    return pa.table([T, X, Y, pairs, when, holed, ["a"] * N], schema=pa.schema(fields))
+
+
+def write_parquet(path: Path) -> Path:
+    table = arrow_table()
+    import pyarrow.parquet
+
+    pyarrow.parquet.write_table(table, path)
+    return path
+
+
+def write_feather(path: Path) -> Path:
+    table = arrow_table()
+    import pyarrow.feather
+
+    pyarrow.feather.write_feather(table, path)
+    return path
+
+
+def write_hdf5(path: Path) -> Path:
+    with h5py.File(path, "w") as file:
+        file["run/p_x"], file["run/p_y"], file["run/p"] = X, Y, np.column_stack([X, Y])
+        file["run/p_x"].attrs["units"] = "um"
+        file["run/p_y"].attrs["unit"] = np.bytes_("um")
+        file["run/note"] = "by hand"
+        table = np.zeros(N, dtype=[("t", "f8"), ("p_x", "f4"), ("p_y", "f8")])
+        table["t"], table["p_x"], table["p_y"] = T, X, Y
+        file["run/table"] = table
+        file["run/rate"] = 1 / DT
+    return path
+
+
+WRITERS: dict[str, Callable[[Path], Path]] = {
+    ".tdms": write_tdms,
+    ".mf4": write_mf4,
+    ".parquet": write_parquet,
+    ".feather": write_feather,
+    ".h5": write_hdf5,
+}
+STATED = {  # what a mapping of each has to say
+    ".tdms": {"signals": {"p": {"columns": ["fast/p_x", "p_y"]}}},
+    ".mf4": {"signals": {"p": {"columns": ["fast/p_x", "p_y"]}}},
+    ".parquet": {"signals": {"p": {"columns": ["p_x", "p_y"]}}, "time": "t"},
+    ".feather": {"signals": {"p": {"columns": ["p_x", "p_y [um]"]}}, "time": "t [s]"},
+    ".h5": {"signals": {"p": {"columns": ["run/p_x", "run/p_y"]}}, "time": "run/table/t"},
+}
+KINDS = pytest.mark.parametrize("kind", WRITERS)
+
+
+def refused(path: Path, mapping: dict, *words: str, error: type[Exception] = DataError) -> None:
+    with pytest.raises(error) as caught:
+        gbid.import_recording(path, mapping)
+    text = str(caught.value)
+    assert str(path) in text
+    assert "\n" not in text
+    for word in words:
+        assert word in text
+
+
+@KINDS
+def test_the_samples_are_those_that_were_written(tmp_path, kind):
+    path = WRITERS[kind](tmp_path / f"run 7{kind}")
+    recording = gbid.import_recording(path, STATED[kind])
+    np.testing.assert_allclose(recording.signal("p"), 1e-6 * np.column_stack([X, Y]), rtol=1e-15)
+    assert (recording.name, recording.units["p"]) == ("run 7", "m")
+    assert recording.sample_time == pytest.approx(DT, rel=1e-12)
+
+
+@KINDS
+def test_the_listing_has_names_units_and_rates(tmp_path, kind, capsys):
+    path = WRITERS[kind](tmp_path / f"a{kind}")
+    with pytest.raises(SystemExit, match="0"):
+        app(["import", "--peek", str(path), "--json"], prog_name="gbid")
+    rows = {row["channel"]: row for row in json.loads(capsys.readouterr().out)["channels"]}
+    for name in STATED[kind]["signals"]["p"]["columns"]:
+        row = rows.get(name.removesuffix(" [um]")) or rows[f"fast/{name}"]
+        assert (row["samples"], row["unit"]) == (N, "um")
+        if kind in (".tdms", ".mf4"):
+            assert row["rate_hz"] == pytest.approx(1 / DT)
+    # every name that is listed without remark can be imported under this name
+    for name, row in rows.items():
+        if not row["remark"]:
+            mapping = {"signals": {"any": {"columns": [name], "stored_unit": row["unit"]}}, "sample_time_s": DT}
+            if row["rate_hz"]:
+                mapping["sample_time_s"] = row["sample_time_s"]
+            assert gbid.import_recording(path, mapping).n_samples == row["samples"]
+    with pytest.raises(SystemExit, match="0"):
+        app(["import", "--peek", str(path)], prog_name="gbid")
+    assert "rises in even steps of 0.0002" in capsys.readouterr().out or kind == ".tdms"
+
+
+def test_the_listing_of_csv_npz_and_mat(tmp_path):
+    from scipy.io import savemat
+
+    (tmp_path / "a.csv").write_text("t [ms],p_x (um),word\n0.0,1,a\n0.2,2,b\n0.4,3,c\n")
+    found = {channel.name: channel for channel in list_channels(tmp_path / "a.csv")}
+    assert (found["t"].unit, found["t"].step) == ("ms", pytest.approx(0.2))
+    assert (found["p_x"].unit, found["p_x"].n_samples, found["word"].remark) == ("um", 3, "not all cells are numbers")
+    np.savez(tmp_path / "a.npz", p=np.column_stack([X, Y]), fs=5000.0, obj=np.array([{}], dtype=object))
+    found = {channel.name: channel for channel in list_channels(tmp_path / "a.npz")}
+    assert [*found] == ["p[0]", "p[1]", "fs", "obj"]
+    assert (found["fs"].remark, found["obj"].remark[:7]) == ("one number: 5000", "pickled")
+    savemat(tmp_path / "a.mat", {"data": {"p": np.column_stack([X, Y]), "t": T[:, None]}, "name": "rig"})
+    found = {channel.name: channel for channel in list_channels(tmp_path / "a.mat")}
+    assert {"data.p[0]", "data.p[1]", "data.t"} <= set(found)
+    assert found["data.t"].step == pytest.approx(DT)
+    assert found["name"].remark
+    for path in ("a.csv", "a.npz", "a.mat"):
+        assert all(channel.sample_time is None for channel in list_channels(tmp_path / path))
+
+
+def test_rates_of_the_file_are_checked(tmp_path):
+    for kind in (".tdms", ".mf4"):
+        path = WRITERS[kind](tmp_path / f"a{kind}")
+        assert gbid.import_recording(path, {**STATED[kind], "sample_time_s": 1.0005 * DT}).sample_time == 1.0005 * DT
+        refused(path, {**STATED[kind], "sample_time_s": 1e-3}, "sample_time = 0.001 s, but the file states 0.0002 s")
+        both = {"signals": {"p": XY, "s": {"columns": ["pressure"]}}}
+        both["signals"]["p"] = {"columns": ["fast/p_x", "fast/p_y"]}
+        refused(path, both, "different numbers of samples")
+        again = {"signals": {"p": {"columns": ["fast/p_x"]}}, "time": "slow/p_x"}
+        refused(path, again, "different numbers of samples")
+    path = write_parquet(tmp_path / "a.parquet")
+    nothing = {"signals": {"p": {"columns": ["p_x", "p_y"]}}}
+    refused(path, nothing, "neither sample_time nor time is given, and the file states no", error=UsageError)
+
+
+def test_channels_of_different_rates_are_not_put_together(tmp_path):
+    nptdms = pytest.importorskip("nptdms", reason="nptdms is not installed: pip install 'gbid[tdms]'")
+    with nptdms.TdmsWriter(str(tmp_path / "a.tdms")) as writer:
+        writer.write_segment(
+            [nptdms.ChannelObject("g", f"c{k}", X, properties={"wf_increment": k * DT}) for k in (1, 2)]
+        )
+    mapping = {"signals": {"s": {"columns": ["c1", "c2"]}}}
+    refused(tmp_path / "a.tdms", mapping, "different sample times: c1 0.0002 s, c2 0.0004 s")
+
+
+@pytest.mark.parametrize(
+    ("kind", "column", "words"),
+    [
+        (".tdms", "p_x", "channel 'p_x' may be any of fast/p_x, slow/p_x; give group and channel"),
+        (".tdms", "fast/p_z", "no channel 'fast/p_z'; did you mean 'fast/p_y'?"),
+        (".tdms", "slow/note", "not an array of real numbers"),
+        (".mf4", "p_x", "channel 'p_x' may be any of 0/p_x, 1/p_x; give group and channel"),
+        (".mf4", "p_z", "no channel 'p_z'; did you mean 'p_y'?"),
+        (".mf4", "note", "not an array of real numbers"),
+        (".parquet", "p_z", "no column 'p_z'; did you mean 'p_y'?"),
+        (".parquet", "note", "not an array of real numbers"),
+        (".parquet", "holed", "column 'holed': 1 values are missing; leave them out or repair them"),
+        (".feather", "u", "u has shape (500, 2); name one of its columns, e.g. u[0]"),
+        (".feather", "u[2]", "columns count from 0 to 1"),
+        (".h5", "run/p_z", "no dataset 'run/p_z'; did you mean 'run/p_y'?"),
+        (".h5", "run/table/z", "no dataset 'run/table/z'; did you mean 'run/table/t'?"),
+        (".h5", "run/note", "not an array of real numbers"),
+        (".h5", "run/p", "run/p has shape (500, 2); name one of its columns"),
+        (".h5", "run", "no dataset 'run'"),
+    ],
+)
+def test_columns_that_are_not_there_or_no_numbers(tmp_path, kind, column, words):
+    path = WRITERS[kind](tmp_path / f"a{kind}")
+    refused(path, {"signals": {"s": {"columns": [column]}}, "sample_time_s": DT}, words)
+
+
+def test_times_and_lists_of_a_table(tmp_path):
+    for path in (write_parquet(tmp_path / "a.parquet"), write_feather(tmp_path / "a.feather")):
+        recording = gbid.import_recording(
+            path, {"signals": {"s": {"columns": ["u[0]", "u[1]"], "stored_unit": "um", "unit": "um"}}, "time": "when"}
+        )
+        np.testing.assert_array_equal(recording.signal("s"), np.column_stack([X, Y]))
+        assert recording.sample_time == pytest.approx(DT, rel=1e-9)
+
+
+def test_samples_that_a_logger_marked_as_invalid(tmp_path):
+    asammdf = pytest.importorskip("asammdf", reason="asammdf is not installed: pip install 'gbid[mdf]'")
+    bad = np.zeros(N, dtype=bool)
+    bad[7:9] = True
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(X, T, unit="um", name="p_x", invalidation_bits=bad)], common_timebase=True)
+        file.save(tmp_path / "a.mf4", overwrite=True)
+    mapping = {"signals": {"s": {"columns": ["p_x"]}}}
+    refused(tmp_path / "a.mf4", mapping, "2 samples are marked as invalid, the first at sample 7")
+
+
+@KINDS
+def test_damaged_files_are_refused_with_one_line(tmp_path, kind):
+    path = WRITERS[kind](tmp_path / f"a{kind}")
+    data = path.read_bytes()
+    for bad in (b"", b"hello\n" * 100, data[:5], data[: len(data) // 2], data[:-30]):
+        path.write_bytes(bad)
+        refused(path, STATED[kind])
+        with pytest.raises(DataError) as caught:
+            list_channels(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+    refused(tmp_path / f"none{kind}", STATED[kind], "cannot be read: No such file")
+
+
+@pytest.mark.parametrize(
+    ("kind", "package", "extra"),
+    [(".tdms", "nptdms", "tdms"), (".mf4", "asammdf", "mdf"), (".parquet", "pyarrow", "arrow")],
+)
+def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, package, extra):
+    path = WRITERS[kind](tmp_path / f"a{kind}")
+    for module in [name for name in sys.modules if name.partition(".")[0] == package]:
+        monkeypatch.delitem(sys.modules, module)
+    monkeypatch.setitem(sys.modules, package, None)
+    refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
+    with pytest.raises(SystemExit, match="2"):
+        app(["import", "--peek", str(path)], prog_name="gbid")
+    assert f"pip install 'gbid[{extra}]'" in capsys.readouterr().err
