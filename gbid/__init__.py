@@ -29,7 +29,18 @@ if TYPE_CHECKING:
     )
     from gbid.control.assessment.assess import assess
     from gbid.control.tuning.tune import tune
-    from gbid.identify import FitResult, FitTable, MultiStart, Progress, fit_multistart, load_fit, load_table, save_fit
+    from gbid.identify import (
+        FitResult,
+        FitTable,
+        MeasuredResponse,
+        MultiStart,
+        Progress,
+        fit_multistart,
+        load_fit,
+        load_table,
+        measured_response,
+        save_fit,
+    )
     from gbid.identify.fit import fit
     from gbid.interchange import save_csv, save_mat
     from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, save_lpv_fit
@@ -60,6 +71,7 @@ __all__ = [
     "LPVModel",
     "LinearModel",
     "LinearStructure",
+    "MeasuredResponse",
     "MultiStart",
     "NominalActuator",
     "OnlinePrefilter",
@@ -102,6 +114,7 @@ __all__ = [
     "load_recording",
     "load_table",
     "maximise_damping",
+    "measured_response",
     "nominal_actuator",
     "pareto",
     "prefilter",
@@ -128,7 +141,7 @@ _HOME = {
     ),
     "identify": (
         *("FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart"),
-        *("load_fit", "load_table", "save_fit"),
+        *("load_fit", "load_table", "save_fit", "MeasuredResponse", "measured_response"),
     ),
     "interchange": ("save_csv", "save_mat"),
     "lpv": (

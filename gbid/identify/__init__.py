@@ -1,5 +1,8 @@
 """Identification: start values, predictor, shooting windows, solver, covariance, result."""
 
+from gbid.identify.curves.bode import Bode, bode
+from gbid.identify.curves.measured_response import MeasuredResponse, measured_response
+from gbid.identify.curves.uncertain_model import ModelLike, ModelSlopes, UncertainModel
 from gbid.identify.data import select
 from gbid.identify.fit import fit
 from gbid.identify.fit_store import load_fit, save_fit
@@ -14,21 +17,28 @@ from gbid.identify.table.tabulate import TableEntry, tabulate
 from gbid.identify.uncertainty.whiteness import Whiteness, correlation, whiteness_test
 
 __all__ = [
+    "Bode",
     "FitOptions",
     "FitResult",
     "FitStatus",
     "FitTable",
+    "MeasuredResponse",
     "Minimum",
+    "ModelLike",
+    "ModelSlopes",
     "MultiStart",
     "Progress",
     "StartsTried",
     "TableEntry",
+    "UncertainModel",
     "Whiteness",
+    "bode",
     "correlation",
     "fit",
     "fit_multistart",
     "load_fit",
     "load_table",
+    "measured_response",
     "save_fit",
     "save_table",
     "select",

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import Dual
+from gbid.identify.curves.slopes import model_slopes
 from gbid.identify.data import FitData
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
@@ -133,6 +134,7 @@ def outcome(
         model=model,
         sample_time=data.sample_time,
         local_names=locals_of,
+        model_slopes=model_slopes(problem.parts[0].predictor, theta, problem.parts[0].index),
     )
 
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import brief, estimates
 from gbid.hdf5 import NOT_STORED, Stored
+from gbid.identify.curves.bode import Bode, bode
+from gbid.identify.curves.uncertain_model import ModelSlopes, UncertainModel
 from gbid.identify.options import FitOptions
 from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
@@ -127,6 +130,9 @@ class FitResult:
         For each recording, the full names of its local parameters by their own names; empty without local parameters.
     multi_start : StartsTried or None
         Counts of the fits from other starts; None for a fit from one start.
+    model_slopes : ModelSlopes or None
+        Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves; None in a file
+        of gbid 0.1.0.
     """
 
     structure: str
@@ -160,6 +166,7 @@ class FitResult:
     sample_time: Annotated[float, Stored("s", "time between samples")]
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     multi_start: StartsTried | None = None
+    model_slopes: ModelSlopes | None = None
 
     def __repr__(self) -> str:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
@@ -177,6 +184,32 @@ class FitResult:
     def success(self) -> bool:
         """Whether the fit converged."""
         return self.status.success
+
+    @property
+    def uncertain_model(self) -> UncertainModel:
+        """The model with the derivatives of its matrices and the covariance of the parameters."""
+        return UncertainModel(self.model, self.model_slopes, self.covariance)
+
+    def bode(self, frequency_hz: npt.ArrayLike | None = None) -> Bode:
+        """Return the frequency response of the model with standard deviations from `covariance`.
+
+        Parameters
+        ----------
+        frequency_hz : (n,) array, optional
+            Frequencies above zero [Hz], ascending; by default a grid that is dense around the poles.
+
+        Returns
+        -------
+        Bode
+            Complex values, magnitude and phase with standard deviations for each pair of input and output.
+            `gbid.report.plot_bode` draws it.
+
+        Raises
+        ------
+        UsageError
+            When a frequency is not above zero, or when an undamped pole lies exactly on it.
+        """
+        return bode(self.uncertain_model, frequency_hz)
 
     @property
     def own_names(self) -> dict[str, str]:

@@ -2,6 +2,7 @@
 
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
+from gbid.structure.numeric.frequency_grid import frequency_grid
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.numeric.pade_model import with_pade
 from gbid.structure.parameter import Parameter, Values, known_names
@@ -23,6 +24,7 @@ __all__ = [
     "Values",
     "as_names",
     "evaluate",
+    "frequency_grid",
     "known_names",
     "load_structure",
     "pade_delay",

@@ -13,10 +13,9 @@ import numpy.typing as npt
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import brief
 from gbid.control.loop.close import close_loop
-from gbid.control.loop.grid import frequency_grid
 from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain, refine_maxima
 from gbid.errors import UsageError
-from gbid.structure import LinearModel, with_pade
+from gbid.structure import LinearModel, frequency_grid, with_pade
 
 Which = Literal["output", "input", "control", "plant", "complementary"]
 STABILITY_PADE_ORDER = 6

@@ -15,7 +15,7 @@ from gbid.experiment.stages.fit.stage import fit_path, load_made_fit, model_key,
 from gbid.experiment.stages.fit.structures import make_structure
 from gbid.experiment.stages.prefilter.stage import FOLDER as PREFILTERED
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
-from gbid.identify import FitResult
+from gbid.identify import FitResult, MeasuredResponse, measured_response
 from gbid.recording import Recording
 from gbid.structure import evaluate
 from gbid.validate import ResidualTest, Validation, check_residuals, cross_validate
@@ -44,6 +44,19 @@ def residuals_of_pair(job: Job, name: str, model: str, recording: str) -> Residu
         When the fit or the recording is missing, or their signals differ.
     """
     return residuals_on(job, name, *_model_and_recording(job, name, model, recording))
+
+
+def bode_of_pair(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, MeasuredResponse]:
+    """Return one model of a fit, and the frequency response measured in one recording.
+
+    Raises
+    ------
+    DataError
+        When the fit or the recording is missing, or their signals differ.
+    """
+    result, data = _model_and_recording(job, name, model, recording)
+    options = result.options
+    return result, measured_response(data, options.inputs, options.outputs, intersample=options.intersample)
 
 
 def residuals_on(job: Job, name: str, result: FitResult, data: Recording) -> ResidualTest:
@@ -131,7 +144,9 @@ def with_local(job: Job, name: str, result: FitResult, recording: str) -> FitRes
         )
     structure, found = make_structure(job.experiment, name), result.parameters_of(alike[0])
     own = {q.name: found[q.name] for q in structure.parameters}
-    return replace(result, model=evaluate(structure, own, result.model.input_names, result.model.output_names))
+    model = evaluate(structure, own, result.model.input_names, result.model.output_names)
+    first, other = (result.local_names.get(name, {}) for name in (result.recordings[0], alike[0]))
+    return replace(result, model=model, model_slopes=result.model_slopes if first == other else None)
 
 
 def _model_and_recording(job: Job, name: str, model: str, recording: str) -> tuple[FitResult, Recording]:

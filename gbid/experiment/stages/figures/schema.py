@@ -6,8 +6,9 @@ from gbid.experiment.fields import NotNegative, Positive, Section, Switch
 
 
 class FigureSection(Section):
-    """Time range that the figure shows, and whether it also shows the residuals."""
+    """Time range that the figure shows, and whether residual tests and Bode diagrams are drawn as well."""
 
     from_s: NotNegative | None = None
     to_s: Positive | None = None
     residuals: Switch = False
+    bode: Switch = False

@@ -7,7 +7,7 @@ from math import inf
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.structure import LinearModel
+from gbid.structure.numeric.linear_model import LinearModel
 
 
 def frequency_grid(model: LinearModel, n: int = 400) -> FloatArray:

@@ -1,0 +1,1 @@
+"""Figures of a linear model with its uncertainty, for any model and fit."""
