@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
-from gbid.errors import DataError, GbidError
+from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.stages.fit.plan import fit_models
-from gbid.experiment.stages.fit.structures import structure_or_none
+from gbid.experiment.stages.fit.structures import fit_disturbances, structure_or_none
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import Peek, peek
@@ -73,7 +74,7 @@ def sample_times_differ(experiment: Experiment, seen: Mapping[str, Peek]) -> lis
 def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> list[str]:
     """Return a text for each model whose recordings have too few samples for its unknowns.
 
-    The unknowns are the free parameters, the offsets, and one initial state for each recording.
+    The unknowns are the free parameters, those of trends and hum, and one initial state for each recording.
     """
     texts = []
     for fit, section in experiment.spec.fits.items():
@@ -83,7 +84,8 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> li
         _, matrices = symbolic_matrices(structure)
         free = [q for q in structure.parameters if q.name not in section.fixed]
         shared, own = len(free), matrices.A.shape[0] if section.initial_state == "estimated" else 0
-        shared += matrices.C.shape[0] if section.offsets else 0
+        with suppress(UsageError):  # another check reports it
+            shared += len(fit_disturbances(experiment, fit, structure).names)
         for names in fit_models(experiment, fit).values():
             known = [name for name in names if name in seen]
             samples, unknowns = sum(seen[name].n_samples for name in known), shared + own * len(known)

@@ -13,6 +13,8 @@ from gbid.arrays import FloatArray
 from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
 from gbid.identify.data import FitData, gather
+from gbid.identify.disturbances.asked import TrendName, asked_disturbances
+from gbid.identify.disturbances.disturbance_starts import disturbance_starts, without_disturbances
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.solver import Solution, solve
@@ -21,7 +23,7 @@ from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several
 from gbid.identify.outcome import outcome
 from gbid.identify.predictor import Focus, noise_names
-from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start, offset_starts
+from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
@@ -49,6 +51,8 @@ def fit(
     prior: Mapping[str, tuple[float, float]] | None = None,
     local: Mapping[str, Scope] | None = None,
     offsets: bool = False,
+    trend: TrendName | Mapping[str, TrendName] = "none",
+    hum: float | Sequence[float] = (),
     initial_state: InitialState = "estimated",
     left_out: Mapping[str, Sequence[tuple[int, int]]] | None = None,
     window: int | Literal["auto"] | None = "auto",
@@ -91,7 +95,12 @@ def fit(
     local : dict of str to {"recording", "operating_point"}, optional
         Parameters with a separate value for each recording or operating point.
     offsets : bool
-        Whether a constant offset of each output is estimated for each recording.
+        Whether a constant offset of each output is estimated for each recording; the same as ``trend="offset"``.
+    trend : {"none", "offset", "linear", "random walk"}, int or dict
+        Trend of the outputs, estimated along for each recording: a polynomial of time of this degree (0 to 9), or an
+        offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
+    hum : float or sequence of float
+        Known frequencies [Hz] of sinusoids in all outputs, whose amplitudes are estimated along for each recording.
     initial_state : {"estimated", "zero"} or sequence of float
         Initial state of each recording.
     left_out : dict of str to sequence of (start, stop), optional
@@ -137,8 +146,10 @@ def fit(
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
 
     stated = {q.name: q.start for q in parameters if q.start is not None}
+    disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
-        begin = _within(parameters, start_values(structure, data, stated), set(stated))
+        undisturbed = without_disturbances(disturbances, data)
+        begin = _within(parameters, start_values(structure, undisturbed, stated), set(stated))
     structure = structure if in_names else without_inputs(structure)
     asked = {**(start or {}), **(fixed or {})}
     origin = {q.name: "user" if q.name in asked else "structure" if q.name in stated else "data" for q in parameters}
@@ -153,13 +164,13 @@ def fit(
             intersample=hold,
             focus=focus,
             horizon=horizon,
-            offsets=offsets,
+            disturbances=disturbances,
             local=local or {},
             left_out=left_out or {},
             window=samples,
             engine=engine,
         )
-        full = full_start(assembly, begin, offset_starts(structure, begin, data, hold) if offsets else ())
+        full = full_start(assembly, begin, disturbance_starts(disturbances, structure, begin, data, hold))
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         first = np.clip(unknowns, lower, upper)
@@ -177,7 +188,7 @@ def fit(
             criterion=criterion,
             stop=stop,
             initial_state=initial_state if isinstance(initial_state, str) else "given",
-            offsets=offsets,
+            disturbances=disturbances,
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
         )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 import h5py
 
 from gbid import hdf5
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.identify.options import FitOptions
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
@@ -26,7 +28,7 @@ def _from_schema_1(file: h5py.File) -> None:
         outputs=tuple(options["outputs"].split()),
         horizon=int(options["horizon"]),
         intersample=tuple(hold * len(inputs) if len(hold) == 1 else hold),
-        offsets=all(f"offset_{name}" in estimated for name in outputs),
+        disturbances=_offsets(outputs, all(f"offset_{name}" in estimated for name in outputs)),
         window=None if options["window"] == "one per recording" else int(options["window"]),
         **{key: options[key] for key in ("focus", "criterion", "stop", "initial_state", "engine")},
     )
@@ -36,6 +38,10 @@ def _from_schema_1(file: h5py.File) -> None:
         tried = StartsTried(int(options["starts"]), seed, converged, agreed, float(options["starts_spread"]))
         hdf5.write_fields(file.create_group("multi_start"), tried)
     file.attrs["status"] = status_of_text(hdf5.read_text(file, "status"), success=bool(file.attrs["success"])).value
+
+
+def _offsets(outputs: Sequence[str], estimated: bool) -> Disturbances:
+    return Disturbances(tuple(outputs), (Trend(int(estimated)),) * len(outputs))
 
 
 def status_of_text(text: str, *, success: bool) -> FitStatus:

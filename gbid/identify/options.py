@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from gbid.discretise import Hold
+from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.identify.kernel.engine import RunEngine
 from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.watch import Stop
@@ -32,8 +33,8 @@ class FitOptions:
         Stopping rule.
     initial_state : {"estimated", "zero", "given"}
         Initial state of each recording.
-    offsets : bool
-        Whether a constant offset of each output was estimated.
+    disturbances : Disturbances
+        Trends and hum of the outputs that were estimated along.
     window : int or None
         Number of samples in a shooting window; None for one window per recording.
     engine : {"compiled", "numpy"}
@@ -48,6 +49,6 @@ class FitOptions:
     criterion: Criterion
     stop: Stop
     initial_state: Literal["estimated", "zero", "given"]
-    offsets: bool
+    disturbances: Disturbances
     window: int | None
     engine: RunEngine

@@ -95,7 +95,7 @@ def outcome(
     std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
     mean_square = products / problem.n_samples
     units = {q.name: q.unit for q in parameters}
-    units |= {f"offset_{channel}": unit for channel, unit in zip(data.output_names, data.output_units, strict=True)}
+    units |= options.disturbances.units(data.output_units)
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
     first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
     own = [q.name for q in structure.parameters]
@@ -117,7 +117,7 @@ def outcome(
         whiteness=white.p_value,
         modes_std=modes_std,
         static_gain_std=gain_std,
-        initial_states=starts[assembly.record_window],
+        initial_states=starts[assembly.record_window][:, : assembly.n_states],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
         fit_percent=_fit_percent(data, by_record, counted, options.horizon),
@@ -275,7 +275,17 @@ def _propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the standard deviations of modes and static gain of the first part's model."""
     part = problem.parts[0]
+    n = model.n_states  # the states that follow are offsets of random walks
     A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
+    A, B, C, B_delayed = (
+        Dual(m.value[rows, columns], m.slope[:, rows, columns])
+        for m, rows, columns in (
+            (A, slice(n), slice(n)),
+            (B, slice(n), slice(None)),
+            (C, slice(None), slice(n)),
+            (B_delayed, slice(n), slice(None)),
+        )
+    )
     own = chosen[np.ix_(part.index, part.index)]
     if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
         return np.full((len(model.modes()), 2), np.nan), np.full(model.D.shape, np.nan)

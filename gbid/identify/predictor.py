@@ -20,6 +20,8 @@ from gbid.discretise import (
     side_by_side,
 )
 from gbid.errors import UsageError
+from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
+from gbid.identify.disturbances.in_predictor import disturbing_columns, with_random_walks
 from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
 
 Focus = Literal["prediction", "simulation"]
@@ -77,15 +79,17 @@ class Predictor:
     unused : tuple of str
         Parameters without effect for this focus (the disturbance gain in simulation focus).
     n_states, n_inputs, n_outputs : int
-        Numbers of states, inputs and outputs.
+        Numbers of states (with those of random walks), inputs and outputs.
     holds : tuple of {"zoh", "foh"}
         Behaviour of each input between samples.
     prompt, delayed : tuple of int
         Inputs without delay, and inputs with an exact delay.
     feeds_back : bool
         Whether measured outputs are regressors.
-    offsets : bool
-        Whether the last free parameters are constant offsets of the outputs.
+    disturbances : Disturbances
+        Disturbances of the outputs. Their coefficients are the last free parameters.
+    walks : tuple of int
+        Positions of the free parameters that are gains of random walks. The last states are their offsets.
     horizon : int
         Number of steps of the prediction.
     sample_time : float
@@ -102,7 +106,8 @@ class Predictor:
     prompt: tuple[int, ...]
     delayed: tuple[int, ...]
     feeds_back: bool
-    offsets: bool
+    disturbances: Disturbances
+    walks: tuple[int, ...]
     horizon: int
     sample_time: float
     _function: ca.Function
@@ -116,7 +121,7 @@ class Predictor:
     @property
     def _idle(self) -> bool:
         """Whether nothing drives the model: a free decay. One regressor that is zero stands for the missing ones."""
-        return not (self.prompt or self.delayed or self.feeds_back or self.offsets)
+        return not (self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns)
 
     def at(self, theta: FloatArray) -> PredictorValues:
         """Return the matrices at values of the free parameters, shape (n_free,).
@@ -149,9 +154,9 @@ class Predictor:
             drives += columns
             feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
             shift.append(taps.shift)
-        if self.offsets:
-            drives.append(constant(np.zeros((self.n_states, 1)), n_p))
-            feeds.append(_offset_column(theta[-n_y:], n_p))
+        if self.disturbances.n_columns:
+            drives.append(constant(np.zeros((self.n_states, self.disturbances.n_columns)), n_p))
+            feeds.append(disturbing_columns(self.disturbances, theta))
         if self._idle:
             drives.append(constant(np.zeros((self.n_states, 1)), n_p))
             feeds.append(constant(np.zeros((n_y, 1)), n_p))
@@ -170,10 +175,9 @@ class Predictor:
         """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
 
         Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
-        delayed input its samples around ``k - shift``; a one if offsets are estimated; a zero if there is nothing else;
-        ``y[k]`` if the disturbance gain is used; and all but the last again for the following samples of a longer
-        horizon. Before the record an input is constant at its first sample. After it the input is constant at its last
-        sample, which enters no prediction.
+        delayed input its samples around ``k - shift``; those of trends and hum; a zero if there is nothing else;
+        ``y[k]`` if the disturbance gain is used; and all but the last again for a longer horizon. Before the record an
+        input is constant at its first sample. After it the input is constant at its last sample, without effect.
         """
         n = len(inputs)
 
@@ -187,8 +191,8 @@ class Predictor:
         for i, d in zip(self.delayed, shift, strict=True):
             first = d - 1 if self.holds[i] == "foh" else d
             parts += [lagged([i], lag) for lag in range(first, d + 2)]
-        if self.offsets:
-            parts.append(np.ones((n, 1)))
+        if self.disturbances.n_columns:
+            parts.append(self.disturbances.regressors(n, self.sample_time))
         if self._idle:
             parts.append(np.zeros((n, 1)))
         now = np.hstack(parts)
@@ -222,7 +226,7 @@ def build_predictor(
     intersample: str | Sequence[str],
     focus: Focus,
     *,
-    offset_names: Sequence[str] = (),
+    disturbances: Disturbances = UNDISTURBED,
     horizon: int = 1,
 ) -> Predictor:
     """Return the predictor of a structure for a fit.
@@ -239,8 +243,8 @@ def build_predictor(
         Behaviour of the inputs between samples.
     focus : {"prediction", "simulation"}
         Whether the disturbance gain feeds measured outputs back (Eqs. 10, 15), or the model is simulated without them.
-    offset_names : sequence of str
-        Names of the constant offsets of the outputs; empty when none are estimated.
+    disturbances : Disturbances
+        Trends and hum of the outputs, estimated along.
     horizon : int
         Number of steps of the prediction.
 
@@ -259,13 +263,18 @@ def build_predictor(
     The continuous model with input u and disturbance e is discretised exactly, with the given hold of u and e constant
     between samples. With ``e[k] = y[k] - C x[k] - D u[k]`` the predictor is
     ``x[k+1] = (Ad - Kd C) x[k] + (Bd - Kd D) u[k] + Kd y[k]``.
+    A trend or hum adds to the outputs like a known input whose entries of D are unknown. The offset of a random walk is
+    a further state that only the error drives.
     """
-    p, m = symbolic_matrices(structure)
+    p, own = symbolic_matrices(structure)
+    gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
+    gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains)) if gains else ca.SX(0, 1)
+    m = with_random_walks(own, disturbances.walking, gain_symbols)
     holds = check_holds(intersample, m.B.shape[1])
     n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
     matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay]
-    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))}
+    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
     if not free:
@@ -273,19 +282,20 @@ def build_predictor(
     held = {**dict.fromkeys(unused, 0.0), **fixed}
     constants = [(p[i], held[q.name]) for i, q in enumerate(structure.parameters) if q not in free]
     if constants:
-        symbols, numbers = zip(*constants, strict=True)
-        matrices = ca.substitute(matrices, [ca.vertcat(*symbols)], [ca.vertcat(*numbers)])
+        known, numbers = zip(*constants, strict=True)
+        matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
     delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
     matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
-    offsets = [ca.SX.sym(name) for name in offset_names]
-    theta = ca.vertcat(*(p[i] for i, q in enumerate(structure.parameters) if q in free), *offsets)
+    coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
+    symbols = [p[i] for i, q in enumerate(structure.parameters) if q in free]
+    theta = ca.vertcat(*symbols, gain_symbols, *coefficients)
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
     prompt = sorted({*_driven(m.B), *_driven(m.D)})
-    noise = _only_in_gain(m)
+    noise, walks = _only_in_gain(own), tuple(range(len(free), len(free) + len(gains)))
     return Predictor(
-        free=(*free, *(Parameter("offset", 0.0).renamed(name) for name in offset_names)),
-        noise=tuple(i for i, q in enumerate(free) if q.name in noise),
+        free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
+        noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
         unused=unused,
         n_states=n,
         n_inputs=n_u,
@@ -294,7 +304,8 @@ def build_predictor(
         prompt=tuple(prompt),
         delayed=delayed,
         feeds_back=K.nnz() > 0,
-        offsets=bool(offset_names),
+        disturbances=disturbances,
+        walks=walks,
         horizon=horizon,
         sample_time=sample_time,
         _function=function,
@@ -315,14 +326,6 @@ def _only_in_gain(m: Matrices) -> frozenset[str]:
 def _driven(matrix: ca.SX) -> list[int]:
     """Return the columns of a matrix that have entries."""
     return sorted(set(matrix.sparsity().get_triplet()[1]))
-
-
-def _offset_column(offsets: FloatArray, n_p: int) -> Dual:
-    """Return the column that adds the last parameters to the outputs."""
-    n_y = len(offsets)
-    slope = np.zeros((n_p, n_y, 1))
-    slope[-n_y:, :, 0] = np.eye(n_y)
-    return Dual(offsets[:, None], slope)
 
 
 def _look_ahead(

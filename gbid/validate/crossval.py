@@ -63,8 +63,8 @@ class Validation:
 def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = ()) -> Validation:
     """Return the simulation of a fitted model on a recording, with its fit percent and largest deviation.
 
-    The initial state is estimated from the measured outputs, and so are the offsets of the outputs when the fit
-    estimated offsets. Otherwise the simulation uses the inputs only.
+    The initial state is estimated from the measured outputs, and so are trend and hum when the fit estimated them. A
+    random walk counts as an offset. Otherwise the simulation uses the inputs only.
 
     Parameters
     ----------
@@ -88,10 +88,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
     data, fitted = validation_data(result, recording, left_out), simulator(result)
     explained = _explain(fitted, data)
     simulated = fitted.run(data.inputs, explained.initial_state)
-    if fitted.offsets:
-        error = data.outputs - simulated
-        error = error if data.counted is None else error[:, data.counted]
-        simulated = simulated + error.mean(axis=1, keepdims=True)
+    simulated = simulated + fitted.disturbed(data.outputs - simulated, data.counted)
     percent, largest = _figures(explained, data)
     return Validation(
         recording=data.name,

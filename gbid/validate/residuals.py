@@ -12,6 +12,7 @@ from scipy.special import chdtrc, ndtri
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, correlation, select, whiteness_test
+from gbid.identify.disturbances.walking_model import with_walking_offsets
 from gbid.recording import Recording
 from gbid.validate.fit_percent import fit_percent
 from gbid.validate.simulator import Simulator
@@ -132,14 +133,16 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     model, between = result.model, result.options.intersample
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
-        fitted = Simulator(model, recording.sample_time, between, result.options.offsets)
+        disturbances = result.options.disturbances
+        fitted = Simulator(model, recording.sample_time, between, disturbances)
         state = fitted.explain(u.T, y.T).initial_state
         if not np.isfinite(state).all():
             raise overflow
         predicted = fitted.run(u.T, state).T
-        if fitted.offsets:
-            y = y - (y - predicted).mean(axis=0)
+        y = y - fitted.disturbed((y - predicted).T).T
         if result.options.focus == "prediction":
+            model = with_walking_offsets(model, disturbances, result.parameters)
+            state = np.concatenate([state, np.zeros(len(disturbances.walking))])
             predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
     if not np.isfinite(predicted).all():
         raise overflow

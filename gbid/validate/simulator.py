@@ -11,6 +11,7 @@ import numpy as np
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.discretise import discretise
 from gbid.identify import FitResult
+from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.structure import LinearModel
 
 _WELL_APART = 1e5  # largest condition number of the eigenvectors at which the modes are simulated one by one
@@ -85,8 +86,8 @@ class Simulator:
         Time between samples [s].
     intersample : {"zoh", "foh"} or sequence of these
         Inter-sample behaviour of the inputs.
-    offsets : bool
-        Whether a constant offset of each output is estimated together with the initial state.
+    disturbances : Disturbances
+        Trends and hum of the outputs, estimated together with the initial state. A random walk counts as an offset.
     name : str
         Recordings to which the model was fitted, for messages.
     """
@@ -94,7 +95,7 @@ class Simulator:
     model: LinearModel
     sample_time: float
     intersample: str | Sequence[str] = "zoh"
-    offsets: bool = False
+    disturbances: Disturbances = UNDISTURBED
     name: str = "model"
     _modes: Modes | None = field(init=False, repr=False)
     _free: dict[tuple[int, bytes], FreeResponses] = field(init=False, repr=False, default_factory=dict)
@@ -122,18 +123,37 @@ class Simulator:
         with np.errstate(over="ignore", invalid="ignore"):
             rest = outputs - self.run(inputs)
             rest = rest if counted is None else rest[:, counted]
-            if self.offsets:  # without means, the constant offsets drop out of the problem
-                rest = rest - rest.mean(axis=1, keepdims=True)
             if not np.isfinite(rest).all():
                 return Explained(np.full(self.model.n_states, np.nan), rest)
+            rest = rest - self._course(rest, inputs.shape[1], counted)  # they drop out of the problem
             free = self._free_responses(inputs.shape, counted)
             head = rest[:, : free.basis.shape[1]]
             found = np.tensordot(free.basis, head, axes=((0, 1), (0, 1)))
             head -= np.tensordot(free.basis, found, axes=(2, 0))
             return Explained(free.states @ found, rest)
 
+    def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
+        """Return the trend and hum that are closest to an error of the simulation, at all samples.
+
+        Parameters
+        ----------
+        error : (n_outputs, n_samples) array
+            Measured less simulated outputs.
+        counted : (n_samples,) array of bool, optional
+            Samples that count; all by default.
+        """
+        return self._course(error if counted is None else error[:, counted], error.shape[1], counted, everywhere=True)
+
+    def _course(self, rest: FloatArray, n: int, counted: BoolArray | None, *, everywhere: bool = False) -> FloatArray:
+        known = self.disturbances.instead_of_walks(1)
+        if not known.n_columns:
+            return np.zeros((len(rest), 1))
+        columns = known.regressors(n, self.sample_time)
+        there = columns if counted is None else columns[counted]
+        return known.closest(rest.T, there) @ (columns if everywhere else there).T
+
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
-        """Return the simulated outputs without offsets, (n_outputs, n_samples).
+        """Return the simulated outputs without trend and hum, (n_outputs, n_samples).
 
         Parameters
         ----------
@@ -175,8 +195,8 @@ class Simulator:
             ]
             free = np.stack(runs, axis=2)
             free = free if counted is None else free[:, counted]
-            if self.offsets:
-                free = free - free.mean(axis=1, keepdims=True)
+            for state in range(self.model.n_states):
+                free[:, :, state] -= self._course(free[:, :, state], n, counted)
             self._free[key] = _orthonormal(free)
         return self._free[key]
 
@@ -185,7 +205,7 @@ def simulator(result: FitResult) -> Simulator:
     """Return a fitted model prepared for the simulation on many recordings."""
     options = result.options
     return Simulator(
-        result.model, result.sample_time, options.intersample, options.offsets, ", ".join(result.recordings)
+        result.model, result.sample_time, options.intersample, options.disturbances, ", ".join(result.recordings)
     )
 
 
@@ -196,7 +216,7 @@ def estimate_initial_state(
     sample_time: float,
     intersample: str | Sequence[str] = "zoh",
     *,
-    offsets: bool = False,
+    disturbances: Disturbances = UNDISTURBED,
     counted: BoolArray | None = None,
 ) -> FloatArray:
     """Return the initial state whose simulation is closest to the measured outputs, by least squares.
@@ -213,9 +233,8 @@ def estimate_initial_state(
         Time between samples [s].
     intersample : {"zoh", "foh"} or sequence of these
         Inter-sample behaviour of the inputs.
-    offsets : bool
-        Whether a constant offset of each output is estimated together with the state. The offset is the mean of the
-        residual of the simulation from this state.
+    disturbances : Disturbances
+        Trends and hum of the outputs, estimated together with the state.
     counted : (n_samples,) array of bool, optional
         Samples whose outputs count; all by default.
 
@@ -224,7 +243,7 @@ def estimate_initial_state(
     (n_states,) array
         Least-squares solution of smallest norm; nan when the simulation overflows.
     """
-    fitted = Simulator(model, sample_time, intersample, offsets)
+    fitted = Simulator(model, sample_time, intersample, disturbances)
     return fitted.explain(np.transpose(inputs), np.transpose(outputs), counted).initial_state
 
 

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from shooting_problem import problem
 
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.identify.kernel.sweep import scan
 from gbid.identify.nlp.adjoint import on_ends, own_gradients
 from gbid.identify.nlp.hessian import entries_of, left_out_columns
 from gbid.identify.nlp.one_window import in_one_window
+
+DISTURBED = Disturbances(("p_x", "p_y"), (Trend(3), Trend(0, random_walk=True)), (50.0,))
 
 
 def of_pass(shooting, unknowns, lam):
@@ -40,9 +43,9 @@ def by_adjoint(shooting, unknowns, lam):
         {},
         {"criterion": "det"},
         {"window": 600},
-        {"left_out": {}, "local": {"tau_x": "recording"}, "offsets": True},
+        {"left_out": {}, "local": {"tau_x": "recording"}, "disturbances": DISTURBED},
     ],
-    ids=["windows", "det", "long windows", "local and offsets"],
+    ids=["windows", "det", "long windows", "local and disturbances"],
 )
 @pytest.mark.parametrize("joined", [False, True], ids=["cut", "joined"])
 def test_the_adjoint_gives_the_gradient_of_the_pass(engine, options, joined):

@@ -122,7 +122,6 @@ def problem():
         intersample="foh",
         focus="prediction",
         horizon=1,
-        offsets=False,
         local={},
         left_out={"run-4": [(700, 900)]},
         window=100,

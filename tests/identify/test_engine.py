@@ -30,6 +30,7 @@ from places import SUPPORT
 from gbid import compiling
 from gbid.errors import UsageError
 from gbid.identify import fit
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import Segment, cut
 from gbid.identify.kernel.engine import CompiledEngine, choose_engine, pattern_of
 from gbid.identify.kernel.numpy_pass import run_with_numpy
@@ -64,11 +65,12 @@ def fresh(monkeypatch):
 
 # ---- one result, two engines ----
 
+DISTURBED = Disturbances(("a", "b"), (Trend(2), Trend(0, random_walk=True)), (1.3,))
 PLANT = Plant(RotorBearing(delay="exact"))
 CASES = {
     "every": (EVERY, EVERY_AT, H, ("zoh", "foh"), {}),
     "every, h = 4": (EVERY, EVERY_AT, H, "foh", {"horizon": 4}),
-    "every, offsets": (EVERY, EVERY_AT, H, "zoh", {"offset_names": ("offset_a", "offset_b")}),
+    "every, disturbed": (EVERY, EVERY_AT, H, "zoh", {"disturbances": DISTURBED}),
     "every, simulation": (EVERY, EVERY_AT, H, "foh", {"focus": "simulation"}),
     "one output": (MODE, {**MODE_AT, "l1": 0.3, "l2": -0.2}, H, "zoh", {}),
     "rotor": (RotorBearing(), {**KEY, **GAINS}, TS, "foh", {}),

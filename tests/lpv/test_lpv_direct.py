@@ -75,7 +75,6 @@ def test_derivatives_by_tied_unknowns_are_those_of_differences(one_point):
         intersample="foh",
         focus="prediction",
         horizon=1,
-        offsets=False,
         local=gains,
         left_out={},
         window=200,

@@ -10,6 +10,7 @@ from places import ROOT
 
 import gbid
 from gbid.errors import UsageError
+from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.report import (
     plot_residuals,
     plot_response,
@@ -132,7 +133,7 @@ def residual_test():
         output_names=("p_x", "p_y"),
     )  # fmt: skip
     options = SimpleNamespace(
-        inputs=("u",), outputs=("p",), intersample=("zoh", "zoh"), focus="simulation", offsets=False
+        inputs=("u",), outputs=("p",), intersample=("zoh", "zoh"), focus="simulation", disturbances=Disturbances()
     )
     result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=())
     recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")

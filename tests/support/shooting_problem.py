@@ -21,7 +21,7 @@ def problem(engine="numpy", criterion="trace", **options):
     recordings = [recording("a", 900, 1), recording("b", 1300, 2)]
     structure = gbid.RotorBearing()
     data = gather(recordings, ("u",), ("p",), minimum=50)
-    settings = {"offsets": False, "local": {}, "left_out": {"b": [(700, 900)]}, "window": 100, **options}
+    settings = {"local": {}, "left_out": {"b": [(700, 900)]}, "window": 100, **options}
     assembly = assemble(
         structure,
         structure.parameters,

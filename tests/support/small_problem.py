@@ -36,7 +36,6 @@ def small_problem(n=400, window=None, noise=0.1, records=1):
         intersample="zoh",
         focus="simulation",
         horizon=1,
-        offsets=False,
         local={},
         left_out={},
         window=window,

@@ -11,10 +11,13 @@ from scipy.stats import chi2, kstest, norm
 
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 from gbid.validate import check_residuals, estimate_initial_state
 from gbid.validate.residuals import _verdict
+
+OFFSET = Disturbances(("y",), (Trend(1),))
 
 LAG = LinearStructure(
     "lag",
@@ -252,7 +255,7 @@ def test_the_longest_stretch_is_tested(data, result):
 
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_an_offset_of_the_outputs_changes_nothing_where_offsets_are_estimated(data, result, focus):
-    free = replace(result, options=replace(result.options, offsets=True, focus=focus))
+    free = replace(result, options=replace(result.options, disturbances=OFFSET, focus=focus))
     moved = data.with_signals(y=data.signal("y") + 40.0)
     found, plain = check_residuals(free, moved), check_residuals(free, data)
     np.testing.assert_allclose(found.rms, plain.rms, rtol=1e-9)

@@ -37,7 +37,7 @@ def with_mean_removed(rec):
 
 
 def plainly(result, recording, left_out=()):
-    """Least squares over simulations from each unit state and, with offsets, over a constant in each output."""
+    """Least squares over simulations from each unit state and over the terms of trend and hum of each output."""
     u, y = (select(recording, wanted)[0] for wanted in (result.options.inputs, result.options.outputs))
     kept = np.ones(len(y), bool)
     for start, stop in left_out:
@@ -50,8 +50,10 @@ def plainly(result, recording, left_out=()):
 
     n = result.model.n_states
     columns = [run(0 * u, unit) for unit in np.eye(n)]
-    if result.options.offsets:
-        columns += [np.tile(unit, (len(y), 1)) for unit in np.eye(y.shape[1])]
+    disturbances, t = result.options.disturbances, recording.time
+    courses = [t**power for power in range(disturbances.n_polynomials)]
+    courses += [wave(2 * np.pi * f * t) for f in disturbances.hum for wave in (np.cos, np.sin)]
+    columns += [np.outer(course, unit) for course in courses for unit in np.eye(y.shape[1])]
     free = np.stack(columns, axis=2)
     size = np.linalg.norm(free[kept].reshape(-1, free.shape[2]), axis=0)
     from_rest = run(u, np.zeros(n))
@@ -69,11 +71,12 @@ def plainly(result, recording, left_out=()):
     [
         (PiezoPair(), {}),
         (PiezoPair(), {"offsets": True}),
+        (PiezoPair(), {"trend": 3, "hum": [50.0, 131.0]}),
         (RotorBearing(), {"max_iterations": 2}),
         (RotorBearing(), {"intersample": "zoh", "focus": "simulation", "max_iterations": 2}),
         (Plant(RotorBearing(delay="exact", disturbance_gain="none")), {"stop": "paper", "max_iterations": 3}),
     ],
-    ids=["piezos", "offsets", "bearing", "held", "exact delay"],
+    ids=["piezos", "offsets", "trend and hum", "bearing", "held", "exact delay"],
 )
 def test_many_at_once_agree_with_one_by_one(recordings, structure, options):
     data = [with_mean_removed(rec) for rec in recordings]

@@ -34,5 +34,6 @@ def near_instability(predictor: Predictor, own: FloatArray, share: float) -> boo
         The share.
     """
     still = np.array(own, float)
-    still[list(predictor.noise)] = 0.0
-    return 1 - spectral_radius([predictor.at(own)]) <= share * (1 - spectral_radius([predictor.at(still)]))
+    still[[i for i in predictor.noise if i not in predictor.walks]] = 0.0  # a slow random walk is a valid estimate
+    margin = 1 - spectral_radius([predictor.at(still)])
+    return (margin > 0 or not predictor.walks) and 1 - spectral_radius([predictor.at(own)]) <= share * margin

@@ -6,12 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
-import numpy as np
-
 from gbid.arrays import IntArray
 from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
+from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES
 from gbid.identify.kernel.engine import EngineName, RunEngine
 from gbid.identify.nlp.record_group import RecordGroup
@@ -19,7 +18,7 @@ from gbid.identify.predictor import Focus, Predictor, build_predictor
 from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
 from gbid.identify.problem.ties import Ties, tie_of
 from gbid.operating_point import point_label
-from gbid.structure import Parameter, Structure, evaluate
+from gbid.structure import Parameter, Structure
 
 Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
@@ -63,6 +62,12 @@ class Assembly:
     notes: tuple[str, ...]
 
     @property
+    def n_states(self) -> int:
+        """Number of states of the structure, without the offsets of random walks."""
+        predictor = self.parts[0].predictor
+        return predictor.n_states - len(predictor.disturbances.walking)
+
+    @property
     def own_names(self) -> dict[str, str]:
         """Names in the structure, by the full names of the free parameters."""
         return {full: own for names in self.record_names for own, full in names.items()}
@@ -77,11 +82,11 @@ def assemble(
     intersample: Hold | Sequence[Hold],
     focus: Focus,
     horizon: int,
-    offsets: bool,
     local: Mapping[str, Scope],
     left_out: Mapping[str, Sequence[tuple[int, int]]],
     window: int | None,
     engine: EngineName,
+    disturbances: Disturbances = UNDISTURBED,
     ties: Ties | None = None,
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
@@ -95,11 +100,10 @@ def assemble(
         For options that do not fit the structure or the recordings.
     """
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
-    offset_names = [f"offset_{name}" for name in data.output_names] if offsets else []
 
     def predictor_for(kind: Focus) -> Predictor:
         built = build_predictor(
-            structure, held, data.sample_time, intersample, kind, offset_names=offset_names, horizon=horizon
+            structure, held, data.sample_time, intersample, kind, disturbances=disturbances, horizon=horizon
         )
         known = {q.name: q for q in parameters}
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
@@ -107,7 +111,7 @@ def assemble(
     predictor = predictor_for(focus)
     _check_channels(structure, predictor, data)
     always: Scope = "recording"
-    scopes = {**local, **dict.fromkeys(offset_names, always)}
+    scopes = {**local, **dict.fromkeys((term.name for term in disturbances.terms), always)}
     unknown = [name for name in scopes if name not in [q.name for q in predictor.free]]
     if unknown:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
@@ -168,8 +172,8 @@ def _check_names(data: FitData) -> None:
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise UsageError(
-            f"several recordings are named {twice[0]!r}; local parameters, offsets and left_out identify recordings "
-            "by name, so give each its own"
+            f"several recordings are named {twice[0]!r}; local parameters, trends, hum and left_out identify "
+            "recordings by name, so give each its own"
         )
 
 
@@ -234,26 +238,11 @@ def automatic_window(data: FitData, focus: Focus) -> int:
 
 
 def full_start(
-    assembly: Assembly, begin: Mapping[str, float], offsets: Sequence[Mapping[str, float]] = ()
+    assembly: Assembly, begin: Mapping[str, float], own: Sequence[Mapping[str, float]] = ()
 ) -> dict[str, float]:
-    """Return start values by full name: one for all groups of a local parameter, and `offsets` for each record."""
+    """Return start values by full name: one for all groups of a local parameter, and `own` for each record."""
     full = dict(begin)
     for i, names in enumerate(assembly.record_names):
-        own = {**begin, **(offsets[i] if offsets else {})}
-        full |= {long: own.get(short, 0.0) for short, long in names.items()}
+        known = {**begin, **(own[i] if own else {})}
+        full |= {long: known.get(short, 0.0) for short, long in names.items()}
     return full
-
-
-def offset_starts(
-    structure: Structure, begin: Mapping[str, float], data: FitData, intersample: Hold | Sequence[Hold]
-) -> list[dict[str, float]]:
-    """Return start values of the offsets of each record: the median residual of the model at its start values."""
-    starts = []
-    for record in data.records:
-        model = evaluate(structure, begin)
-        simulated = model.simulate(record.inputs, data.sample_time, intersample=intersample)
-        left = np.median(record.outputs - simulated, axis=0)
-        if not np.isfinite(left).all():  # an unstable start
-            left = np.median(record.outputs, axis=0)
-        starts.append({f"offset_{name}": float(v) for name, v in zip(data.output_names, left, strict=True)})
-    return starts

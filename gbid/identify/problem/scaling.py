@@ -90,22 +90,23 @@ def unknown_bounds(problem: Shooting, assembly: Assembly, initial_state: Initial
     free = np.full((problem.n_windows, problem.n_states), inf)
     lower = problem.pack(np.array([q.lower for q in assembly.free]), -free)
     upper = problem.pack(np.array([q.upper for q in assembly.free]), free)
+    n = assembly.n_states
     if isinstance(initial_state, str):
         if initial_state == "estimated":
             return lower, upper
         if initial_state != "zero":
             raise UsageError(f"initial_state = {initial_state!r}; choose 'estimated', 'zero' or give the state")
-        given = np.zeros(problem.n_states)
+        given = np.zeros(n)
     else:
         given = np.asarray(initial_state, float)
-    if given.shape != (problem.n_states,):
-        raise UsageError(f"initial_state has shape {given.shape}; the structure has {problem.n_states} states")
+    if given.shape != (n,):
+        raise UsageError(f"initial_state has shape {given.shape}; the structure has {n} states")
     if not np.isfinite(given).all():
         raise UsageError(f"initial_state = {initial_state}; it must be finite")
     for window in assembly.record_window:
         first = problem.n_theta + int(window) * problem.n_states
-        place = slice(first, first + problem.n_states)
-        lower[place] = upper[place] = given / problem.state_scale
+        place = slice(first, first + n)
+        lower[place] = upper[place] = given / problem.state_scale[:n]
     return lower, upper
 
 

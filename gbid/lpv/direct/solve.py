@@ -83,7 +83,6 @@ def solve_for(
             intersample=how.hold,
             focus=how.focus,
             horizon=1,
-            offsets=False,
             local=local,
             left_out={},
             window=None,  # the start is near the solution: windows within a recording are not needed

@@ -8,8 +8,8 @@ from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.schema import FitSection
-from gbid.experiment.stages.fit.structures import fit_channels, make_structure, output_labels, structure_or_none
-from gbid.structure import Parameter, symbolic_matrices
+from gbid.experiment.stages.fit.structures import fit_channels, fit_disturbances, make_structure, structure_or_none
+from gbid.structure import Parameter, Structure, symbolic_matrices
 
 
 def structures_load(experiment: Experiment) -> Found:
@@ -43,7 +43,7 @@ def parameters_are_known(experiment: Experiment) -> Found:
         if structure is None:
             continue
         known = {q.name: q for q in structure.parameters}
-        offsets = [f"offset_{label}" for label in output_labels(experiment, name, structure)] if section.offsets else []
+        disturbing = _disturbing(experiment, name, structure)
         given: dict[str, Collection[str]] = {
             "start": section.start,
             "fixed": section.fixed,
@@ -53,7 +53,7 @@ def parameters_are_known(experiment: Experiment) -> Found:
         }
         for key, parameters in given.items():
             for parameter in parameters:
-                if key == "prior" and parameter.partition("[")[0] in offsets:
+                if key == "prior" and parameter.partition("[")[0] in disturbing:
                     continue
                 if (parameter.partition("[")[0] if key == "prior" else parameter) not in known:
                     where = ("fits", name, key, parameter)
@@ -61,6 +61,14 @@ def parameters_are_known(experiment: Experiment) -> Found:
                 elif key != "fixed" and parameter.partition("[")[0] in section.fixed:
                     yield ("fits", name, key, parameter), "the parameter is fixed; remove one of the two"
         yield from _bounds_hold(name, section, known)
+
+
+def _disturbing(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
+    """Return the names of the coefficients of trends and hum; none where another check reports their options."""
+    try:
+        return list(fit_disturbances(experiment, fit, structure).names)
+    except GbidError:
+        return []
 
 
 def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:

@@ -7,7 +7,7 @@ import casadi as ca
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
-from gbid.experiment.stages.fit.structures import output_labels, structure_or_none
+from gbid.experiment.stages.fit.structures import fit_disturbances, output_labels, structure_or_none
 from gbid.structure import Matrices, Structure, symbolic_matrices
 
 
@@ -51,6 +51,18 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
                 ("fits", name, "initial_state"),
                 f"{len(state)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
             )
+
+
+def trends_are_of_outputs(experiment: Experiment) -> Found:
+    """Yield a problem for each trend and hum that the fit would refuse."""
+    for name in experiment.spec.fits:
+        structure = structure_or_none(experiment, name)
+        if structure is None or not output_labels(experiment, name, structure):
+            continue
+        try:
+            fit_disturbances(experiment, name, structure)
+        except GbidError as error:
+            yield ("fits", name, "hum" if str(error).startswith("hum") else "trend"), str(error)
 
 
 def local_parameters_have_groups(experiment: Experiment) -> Found:
@@ -122,6 +134,7 @@ def _only_in_gain(p: ca.SX, matrices: Matrices, structure: Structure) -> list[st
 OPTION_CHECKS: tuple[Check, ...] = (
     focus_sees_options,
     vectors_have_their_length,
+    trends_are_of_outputs,
     local_parameters_have_groups,
     stretches_left_out_exist,
 )

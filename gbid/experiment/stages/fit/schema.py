@@ -20,6 +20,7 @@ from gbid.experiment.fields import (
     Switch,
     Text,
 )
+from gbid.identify.disturbances.asked import HIGHEST_DEGREE, TREND_WORDS, TrendName
 
 
 def _window(value: Any) -> Any:
@@ -39,6 +40,23 @@ def _initial_state(value: Any) -> Any:
     if not numbers or not all(type(v) in (int, float) and math.isfinite(v) for v in numbers):
         raise ValueError(f"expected the word estimated or zero, or a list of numbers, found {value!r}")
     return tuple(float(v) for v in numbers)
+
+
+def _trend(value: Any) -> Any:
+    for word in value.values() if isinstance(value, dict) else (value,):
+        if not (isinstance(word, str) and word in TREND_WORDS) and not (
+            type(word) is int and 0 <= word <= HIGHEST_DEGREE
+        ):
+            words = ", ".join(TREND_WORDS)
+            raise ValueError(f"expected {words}, or a degree from 0 to {HIGHEST_DEGREE}, found {word!r}")
+    return value
+
+
+def _one_or_several(value: Any) -> Any:
+    return (value,) if isinstance(value, int | float) else value
+
+
+_TREND = ({"enum": list(TREND_WORDS)}, {"type": "integer", "minimum": 0, "maximum": HIGHEST_DEGREE})
 
 
 class StructureOptions(Section):
@@ -96,6 +114,12 @@ class FitSection(Section):
     prior: dict[Text, PriorSection] = Field(default_factory=dict)
     local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
     offsets: Switch = False
+    trend: Annotated[
+        TrendName | dict[Text, TrendName],
+        BeforeValidator(_trend),
+        WithJsonSchema({"anyOf": [*_TREND, {"type": "object", "additionalProperties": {"anyOf": _TREND}}]}),
+    ] = "none"
+    hum: Annotated[tuple[Positive, ...], BeforeValidator(_one_or_several)] = ()
     initial_state: Annotated[
         Literal["estimated", "zero"] | tuple[float, ...],
         BeforeValidator(_initial_state),

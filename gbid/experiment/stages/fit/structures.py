@@ -10,6 +10,8 @@ from gbid.errors import GbidError, UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import nearest
 from gbid.experiment.stages.fit.schema import StructureOptions
+from gbid.identify.disturbances.asked import asked_disturbances
+from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.structure import (
     PiezoPair,
     Plant,
@@ -88,6 +90,19 @@ def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
         return make_structure(experiment, fit)
     except GbidError:
         return None
+
+
+def fit_disturbances(experiment: Experiment, fit: str, structure: Structure) -> Disturbances:
+    """Return the disturbances of the outputs that a fit estimates along.
+
+    Raises
+    ------
+    UsageError
+        When trend, hum or offsets do not fit each other or the outputs. A frequency is compared with the sample time
+        later, with the recordings.
+    """
+    section, labels = experiment.spec.fits[fit], tuple(output_labels(experiment, fit, structure))
+    return asked_disturbances(section.trend, section.hum, section.offsets, labels, 0.0, section.focus)
 
 
 def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
