@@ -56,7 +56,7 @@ def _one_or_several(value: Any) -> Any:
     return (value,) if isinstance(value, int | float) else value
 
 
-_TREND = ({"enum": list(TREND_WORDS)}, {"type": "integer", "minimum": 0, "maximum": HIGHEST_DEGREE})
+_TREND = [{"enum": list(TREND_WORDS)}, {"type": "integer", "minimum": 0, "maximum": HIGHEST_DEGREE}]
 
 
 class StructureOptions(Section):
