@@ -8,7 +8,7 @@ Jacobian and Gauss-Newton Hessian of an iterate.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -187,9 +187,12 @@ class Shooting:
 
     def at_edge(self, theta: FloatArray) -> bool:
         """Whether a predictor is so close to instability that its disturbance gain is not a valid estimate."""
-        if not (self.noise and self.stable_only):
-            return False
-        return any(near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
+        return any(self.parts_at_edge(theta))
+
+    def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
+        """Yield, for each part, whether its predictor is that close to instability."""
+        watched = bool(self.noise) and self.stable_only
+        return (watched and near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import Hold
 from gbid.identify.data import FitData
 from gbid.identify.kernel.engine import EngineName
@@ -66,8 +66,9 @@ def solve_for(
 ) -> DirectSolution:
     """Return the minimum of the prediction errors of all recordings over shared and own unknowns.
 
-    When free gains lead to an almost unstable predictor, the problem is solved again with all gains fixed at their
-    start values. A note reports it.
+    A recording in which the free gain makes the predictor almost unstable does not determine this gain. It is fixed
+    at zero there, and the problem is solved again. When the problem is not solved for another reason, all gains are
+    fixed at their start values. Notes report both.
     """
     ties = setting.ties(scatter)
     at_first = dict(zip(setting.names, (setting.X[0] @ shared).tolist(), strict=True))
@@ -96,22 +97,46 @@ def solve_for(
         lower, upper = unknown_bounds(problem, assembly, "estimated")
         position = {q.name: i for i, q in enumerate(assembly.free)}
         places = [[position[names[key]] for key in local] for names in assembly.record_names]
-        for held in (gains.held, np.ones(len(gains.held), dtype=bool)):
-            still = [place for own, stays in zip(places, held, strict=True) if stays for place in own]
+        part_of = np.searchsorted(problem.first_window, assembly.record_window, side="right") - 1
+
+        def unstable(at: FloatArray) -> BoolArray:
+            """Return whether the gain of each recording makes its predictor almost unstable."""
+            return np.array(list(problem.parts_at_edge(problem.unpack(at)[0])), dtype=bool)[part_of]
+
+        def fix(chosen: BoolArray, value: float | None = None) -> None:
+            """Fix the gains of the chosen recordings, at a value or at their start values."""
+            still = [place for own, stays in zip(places, chosen, strict=True) if stays for place in own]
+            unknowns[still] = unknowns[still] if value is None else value
             lower[still] = upper[still] = unknowns[still]
+
+        def run() -> Solution:
             first = np.clip(unknowns, lower, upper)
-            solution = solve(problem, first, lower, upper, max_iterations=how.max_iterations, progress=how.progress)
-            if solution.status.success or not local or held.all():
-                break
+            return solve(problem, first, lower, upper, max_iterations=how.max_iterations, progress=how.progress)
+
+        fix(gains.held)
+        edge = unstable(unknowns) & ~gains.held
+        held, given_up = gains.held | edge, False
+        fix(edge, 0.0)
+        solution = run()
+        while local and not (solution.status.success or given_up or held.all()):
+            edge = unstable(solution.unknowns) & ~held
+            given_up = not edge.any()
+            fix(edge, 0.0)
+            fix(given_up & ~held)
+            held = held | edge | given_up
+            solution = run()
         theta, starts = problem.unpack(solution.unknowns)
         own = [q.name for q in problem.parts[0].predictor.free]
         kept = np.array([own.index(name) for name in setting.names])
         whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
-    if local and held.all() and not gains.held.all():
-        note = "free disturbance gains did not converge: all are fixed at their start values"
-        gains = replace(gains, notes=(*gains.notes, note))
-        if solution.status.success:
-            solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
+    notes = list(gains.notes)
+    if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
+        if given_up:
+            notes.append("free disturbance gains did not converge: all are fixed at their start values")
+        else:
+            notes.append(f"disturbance gain fixed at zero where it made the predictor unstable: {', '.join(near)}")
+    if given_up and solution.status.success:
+        solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
     ended = [
         {name: float(theta[place]) for name, place in zip(local, own_places, strict=True)} or values
         for own_places, values in zip(places, gains.values, strict=True)
@@ -121,7 +146,7 @@ def solve_for(
         theta[: len(ties.shared)],
         setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
         [profiled(each, kept) for each in whole],
-        replace(gains, values=ended, held=held),
+        Gains(ended, held, tuple(notes)),
         solution,
         assembly.engine,
     )
