@@ -16,7 +16,7 @@ import h5py
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
-from gbid.hdf5 import changing
+from gbid.hdf5 import changing, has_valid_checksum
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
@@ -65,14 +65,15 @@ def _digest(path: Path, _mtime_ns: int, _size: int) -> str:
 
 
 def stored_key(path: Path) -> str:
-    """Return the content key in a result file; empty when the file has none or cannot be read."""
+    """Return the content key in a result file; empty when the file has none, is damaged or cannot be read."""
     try:
         if path.suffix == ".h5":
+            has_valid_checksum(path)
             with h5py.File(path, "r") as file:
                 return str(file.attrs.get(ATTRIBUTE, ""))
         found = _IN_TEXT.search(path.read_bytes())
         return found[1].decode() if found else ""
-    except OSError:
+    except (OSError, DataError):
         return ""
 
 
@@ -94,7 +95,7 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
     if overwrite:
         return False
     if not found:
-        raise DataError(f"{path}: truncated or not made by an experiment; remove it or use --overwrite")
+        raise DataError(f"{path}: damaged, truncated or not made by an experiment; remove it or use --overwrite")
     raise UsageError(
         f"{path} was made with other settings or data, or by another version of gbid; "
         "use --overwrite to replace it, or --results to write elsewhere"

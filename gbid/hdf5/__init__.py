@@ -1,5 +1,6 @@
 """HDF5 files of gbid: atomic writing, checked reading, dataclasses stored by the types of their fields."""
 
+from gbid.hdf5.checksum import has_valid_checksum
 from gbid.hdf5.entries import (
     DamagedError,
     add_dataset,
@@ -22,6 +23,7 @@ __all__ = [
     "add_dataset",
     "add_texts",
     "changing",
+    "has_valid_checksum",
     "load",
     "read_attribute",
     "read_dataset",

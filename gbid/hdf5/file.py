@@ -14,7 +14,10 @@ import numpy as np
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError
+from gbid.hdf5.checksum import has_valid_checksum, with_checksum
 from gbid.hdf5.entries import DamagedError
+
+_CHECKSUM = "checksum"  # attribute of the root: such a file ends with its checksum
 
 
 @dataclass(frozen=True)
@@ -78,9 +81,10 @@ def _through_memory(path: Path, mode: str) -> Iterator[h5py.File]:
     """
     with _in_memory(path, mode) as file:
         yield file
+        file.attrs[_CHECKSUM] = "sha256, the last line of the file"
         file.flush()
         image = file.id.get_file_image()
-    path.write_bytes(image)
+    path.write_bytes(with_checksum(image))
 
 
 def _in_memory(path: Path, mode: str) -> h5py.File:
@@ -94,15 +98,20 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
     Raises
     ------
     DataError
-        When the file is missing, not HDF5, truncated, of another kind or a newer schema. Also when an entry that the
-        context reads is missing, of the wrong type or shape, or contradicts another.
+        When the file is missing, not HDF5, truncated, of another kind or a newer schema. When its checksum is not that
+        of its bytes; files of gbid 0.1 have none. Also when an entry that the context reads is missing, of the wrong
+        type or shape, or contradicts another.
     """
     path = Path(path)
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
+        is_whole = has_valid_checksum(path)
         with h5py.File(path, "r") as file:
             version = _checked_version(file, path, kind)
+            if not is_whole and _CHECKSUM in file.attrs:
+                words = "the checksum at its end is missing: it is truncated, or was changed by another program"
+                raise DataError(f"{path}: {words}; {kind.remedy}")
             if version == kind.schema_version:
                 yield file
                 return

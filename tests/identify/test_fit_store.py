@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, innovations, levels, simulated
 
+from gbid import hdf5
 from gbid.errors import DataError, UsageError
 from gbid.identify import fit, load_fit, save_fit
 from gbid.recording import save_recording
@@ -179,7 +180,7 @@ def test_damaged_files_are_refused_in_one_line(result, tmp_path, what):
     path = tmp_path / "fit.h5"
     save_fit(result, path)
     damage, text = DAMAGE[what]
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         damage(file)
     with pytest.raises(DataError, match=text) as caught:
         load_fit(path)

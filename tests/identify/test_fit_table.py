@@ -1,11 +1,11 @@
 import csv
 from dataclasses import fields, replace
 
-import h5py
 import numpy as np
 import pytest
 
 import gbid
+from gbid import hdf5
 from gbid.errors import DataError, UsageError
 from gbid.identify import TableEntry, save_table, tabulate
 from gbid.identify.table.table_store import csv_table
@@ -146,13 +146,13 @@ def test_a_fit_to_several_recordings_shows_its_worst(fits):
 def test_damaged_tables_are_refused(table, tmp_path):
     path = tmp_path / "table.h5"
     save_table(table, path)
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         del file["std"]
         file["std"] = np.zeros((4, 2))
     with pytest.raises(DataError, match=r"/std has shape \(4, 2\), expected \(4, 20\)"):
         gbid.load_table(path)
     save_table(table, path, overwrite=True)
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         del file["status"]
     with pytest.raises(DataError, match="/status is missing"):
         gbid.load_table(path)

@@ -2,12 +2,12 @@
 
 from dataclasses import replace
 
-import h5py
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
+from gbid import hdf5
 from gbid.identify import FitStatus
 from gbid.recording import Recording
 
@@ -63,7 +63,7 @@ def test_files_of_0_1_0_open(tmp_path):
         '"engine": "compiled", "starts": "4", "starts_seed": "5", "starts_converged": "3", "starts_agreed": "2", '
         '"starts_spread": "inf"}'
     )
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         del file["options"]
         file.attrs["schema_version"], file.attrs["success"], file.attrs["options"] = 1, True, texts
         file.attrs["status"] = "converged: the errors are at rounding, with the disturbance gain held"
@@ -72,7 +72,7 @@ def test_files_of_0_1_0_open(tmp_path):
     assert old.status is FitStatus.CONVERGED_GAIN_HELD
     assert (old.multi_start.starts, old.multi_start.seed, old.multi_start.agreed) == (4, 5, 2)
     assert old.multi_start.spread == np.inf
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         file.attrs["options"] = texts.replace('"100"', '"one per recording"')
         file.attrs["status"], file.attrs["success"] = "not converged: IPOPT says Internal_Error", False
     assert gbid.load_fit(path).options.window is None

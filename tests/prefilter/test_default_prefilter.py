@@ -2,12 +2,12 @@
 
 from dataclasses import fields, replace
 
-import h5py
 import numpy as np
 import pytest
 from study_rig import machine_at, truth_at
 
 import gbid
+from gbid import hdf5
 from gbid.errors import DataError
 from gbid.prefilter import PrefilterReport, identify_runout, load_prefilter, prefilter, save_prefilter
 from gbid.prefilter.shaft import shaft_motion
@@ -83,7 +83,7 @@ def test_places_are_stored_and_shown(runout, tmp_path):
     for i, row in enumerate(prefilter_rows([loaded])):
         assert (row["spikes"], row["first_spikes"]) == (report.spikes[i], list(report.spike_samples[i][:10]))
     assert [row["first_spikes"] for row in prefilter_rows([old])] == [[], []]
-    with h5py.File(path, "r+") as file:
+    with hdf5.changing(path) as file:
         del file["reports/0000/spike_samples"]
         file["reports/0000/spike_samples"] = [1, 2]
     with pytest.raises(DataError, match=r"spike_samples has shape \(2,\), expected"):
