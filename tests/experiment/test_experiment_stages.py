@@ -388,7 +388,7 @@ def nan(columns):
 
 
 def constant(columns):
-    columns["drive [V]"][:] = 1.0
+    columns["position [um]"][:] = 1.0
 
 
 def saturated(columns):
@@ -408,7 +408,7 @@ def short(columns):
     ("damage", "words"),
     [
         (nan, ["position", "not finite", "sample 700"]),
-        (constant, ["'u'", "is constant"]),
+        (constant, ["'y'", "is constant"]),
         (saturated, ["'y'", "is saturated", "rests_at_limits"]),
         (jumping_clock, ["time", "jumps at sample 900"]),
         (short, ["20 samples", "at least 100"]),

@@ -56,9 +56,12 @@ class FileFormat:
     peek : callable, optional
         From the same to the number of samples and columns that hold no more than their first and last sample, where
         this is faster than reading the file.
+    states_sample_time : bool
+        Whether such files may state the sample time of their channels, so that a mapping need not give it.
     """
 
     endings: tuple[str, ...]
     read: Reader
     channels: Callable[[Path], list[FileChannel]]
     peek: Callable[[Path, Sequence[str]], tuple[int, dict[str, FileColumn]]] | None = None
+    states_sample_time: bool = False

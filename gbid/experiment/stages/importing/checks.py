@@ -28,11 +28,17 @@ def data_can_be_read(experiment: Experiment) -> Found:
             continue  # all files of a folder share one mapping
         reported.add(str(here))
         here_file = (*here, "file") if listed else here
-        if path.suffix.lower() not in file_formats():
+        file_format = file_formats().get(path.suffix.lower())
+        if file_format is None:
             yield here_file, f"unknown ending {path.suffix!r}; expected one of {', '.join(file_formats())}"
         elif folder.is_dir() and not path.is_file():
             yield here_file, f"no file {path}; put it there, or correct the name or data_folder"
+        here_mapping = here if listed else here[:2]
         try:
-            ImportMapping.from_dict(mapping_of(entry))
+            mapping = ImportMapping.from_dict(mapping_of(entry))
         except (UsageError, DataError) as error:
-            yield here if listed else here[:2], str(error)
+            yield here_mapping, str(error)
+            continue
+        may_be_stated = file_format is None or file_format.states_sample_time
+        if mapping.sample_time is None and mapping.time is None and not may_be_stated:
+            yield here_mapping, "neither sample_time nor time is given; give the sample time or the time column"
