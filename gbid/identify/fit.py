@@ -42,7 +42,7 @@ def fit(
     outputs: str | Sequence[str] | None = None,
     focus: Focus = "prediction",
     intersample: Hold | Sequence[Hold] | None = None,
-    criterion: Criterion = "trace",
+    criterion: Criterion | Literal["auto"] = "auto",
     horizon: int = 1,
     output_weights: Sequence[float] | None = None,
     start: Mapping[str, float] | None = None,
@@ -78,8 +78,9 @@ def fit(
         Errors of the prediction with the disturbance gain, or of the simulation without measured outputs.
     intersample : {"zoh", "foh"} or sequence, optional
         Behaviour of the inputs between samples; by default that of the structure.
-    criterion : {"trace", "det"}
-        Mean squared error summed over outputs, or determinant of the mean square matrix of the errors.
+    criterion : {"auto", "trace", "det"}
+        Mean squared error summed over outputs (the paper's), or determinant of the mean square matrix of the errors,
+        which weights each output by its errors. "auto" is "det" for several outputs without `output_weights`.
     horizon : int
         Number of steps of the prediction; 1 in the paper.
     output_weights : sequence of float, optional
@@ -146,6 +147,8 @@ def fit(
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
 
     stated = {q.name: q.start for q in parameters if q.start is not None}
+    if criterion == "auto":
+        criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
     disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
@@ -243,7 +246,7 @@ def _check_options(
 ) -> None:
     choices = {
         "focus": (focus, ("prediction", "simulation")),
-        "criterion": (criterion, ("trace", "det")),
+        "criterion": (criterion, ("auto", "trace", "det")),
         "stop": (stop, ("tolerance", "paper")),
     }
     for name, (value, allowed) in choices.items():

@@ -40,7 +40,7 @@ class Shooting:
     criterion : {"trace", "det"}
         Cost: weighted trace or determinant of the covariance of the errors.
     output_weights : (n_y,) array
-        Weights of the squared errors in the trace.
+        Weights of the squared errors in the trace. The determinant uses them for the scale of each output only.
     output_scale : float
         Total weighted standard deviation of the outputs.
     theta_scale : (n_p,) array
@@ -158,18 +158,18 @@ class Shooting:
         if self.criterion == "trace":
             W = np.diag(self.output_weights)
             return np.asarray(W / (float(np.trace(W @ error_products)) + self._floor))
-        return np.asarray(np.linalg.inv(error_products + self._floor * np.eye(len(error_products))))
+        return np.asarray(np.linalg.inv(error_products + np.diag(self._floors)))
 
     def cost(self, error_products: FloatArray) -> float:
         """Return half the logarithm of the weighted trace or determinant of ``sum e e'`` over the outputs' power.
 
         The logarithm does not change the optimum. It makes the solver's tolerance relative to the remaining errors.
         """
-        n_y = len(error_products)
         if self.criterion == "trace":
             total = float(self.output_weights @ np.diag(error_products))
             return 0.5 * float(np.log((total + self._floor) / self._power))
-        return 0.5 * float(np.linalg.slogdet((error_products + self._floor * np.eye(n_y)) / self._power)[1])
+        units = np.sqrt(self.output_weights / self._power)
+        return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
 
     def at(self, unknowns: FloatArray) -> Iterate:
         """Return the values at a point; those of the last point are stored."""
@@ -234,10 +234,9 @@ class Shooting:
     @property
     def exact_cost(self) -> float:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
-        n_y = len(self.output_weights)
         if self.criterion == "det":
-            return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW)
-        return self.cost(np.eye(n_y) * self._floor * _WELL_BELOW / float(self.output_weights.sum()))
+            return self.cost(np.diag(self._floors) * _WELL_BELOW)
+        return self.cost(np.eye(len(self.output_weights)) * self._floor * _WELL_BELOW / float(self.output_weights.sum()))
 
     @property
     def _power(self) -> float:
@@ -247,6 +246,11 @@ class Shooting:
     def _floor(self) -> float:
         """Power of rounding errors; added to the squares, it keeps the logarithm finite for data without noise."""
         return _ROUNDING * self._power
+
+    @property
+    def _floors(self) -> FloatArray:
+        """The same of each output, for the determinant; outputs may have very different units."""
+        return self._floor / self.output_weights
 
     @property
     def likelihood_size(self) -> float:

@@ -48,6 +48,9 @@ def build_problem(
         Where to start, scaled: each window's own least-squares start for the start values.
     """
     weights = _checked_weights(output_weights, data)
+    if criterion == "det" and output_weights is None:  # outputs count equally at the start, in any units
+        variance = np.average([np.var(r.outputs, axis=0) for r in data.records], axis=0)
+        weights = 1 / np.where(variance > 0, variance, 1.0)
     theta = np.array([begin[q.name] for q in assembly.free])
     n = assembly.parts[0].predictor.n_states
     power = sum(float(np.var(r.outputs, axis=0) @ weights) * r.n_samples for r in data.records)

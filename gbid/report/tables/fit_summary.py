@@ -15,7 +15,7 @@ _FAR = 5.0  # smallest deviation from the truth, in standard deviations, that no
 
 
 def summary_lines(document: Row) -> Iterator[Line]:
-    """Yield the lines of the summary: fit percent, residuals, start, status of the solver, and notes.
+    """Yield the lines of the summary: fit percent, weights of outputs, residuals, start, status of the solver, and notes.
 
     Parameters
     ----------
@@ -34,6 +34,9 @@ def summary_lines(document: Row) -> Iterator[Line]:
         fits = [row for row in document["fit_percent"] if row["recording"] == recording]
         text = ", ".join(f"{row['output']} {row['fit_percent']:.2f} %" for row in fits)
         yield "fit", f"{text} ({own}, on {recording})"
+    if len(document["whiteness"]) > 1:
+        det = document["options"].get("criterion") == "det"
+        yield "outputs", "weighted by the covariance of their errors (det)" if det else "squared errors summed (trace)"
     yield "residuals", residuals_line(document)
     yield "start", start_line(document)
     if document["multi_start"]:

@@ -97,7 +97,7 @@ class FitSection(Section):
     outputs: Names | None = None
     focus: Literal["prediction", "simulation"] = "prediction"
     intersample: Holds | None = None
-    criterion: Literal["trace", "det"] = "trace"
+    criterion: Literal["auto", "trace", "det"] = "auto"
     horizon: Count = 1
     output_weights: Annotated[tuple[Positive, ...], Field(min_length=1)] | None = None
     window: Annotated[
