@@ -4,6 +4,7 @@ from gbid.discretise.delayed import Taps, delayed_taps
 from gbid.discretise.dual import Dual, constant, side_by_side
 from gbid.discretise.expm import Exponentials, exponentials, squarings_for
 from gbid.discretise.hold import Discrete, Hold, check_holds, discretise
+from gbid.discretise.look_ahead import look_ahead
 from gbid.discretise.propagate import propagate
 
 __all__ = [
@@ -17,6 +18,7 @@ __all__ = [
     "delayed_taps",
     "discretise",
     "exponentials",
+    "look_ahead",
     "propagate",
     "side_by_side",
     "squarings_for",

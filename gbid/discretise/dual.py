@@ -70,6 +70,10 @@ class Dual:
     def __truediv__(self, number: float) -> Dual:
         return Dual(self.value / number, self.slope / number)
 
+    def rows(self, index: slice) -> Dual:
+        """Return some rows, as an array indexed by ``[index]``."""
+        return Dual(self.value[index], self.slope[:, index])
+
     def columns(self, index: Any) -> Dual:
         """Return some columns, as an array indexed by ``[:, index]``.
 

@@ -251,7 +251,8 @@ def _check_options(
     }
     for name, (value, allowed) in choices.items():
         if value not in allowed:
-            raise UsageError(f"{name} = {value!r}; choose {' or '.join(map(repr, allowed))}")
+            *others, last = map(repr, allowed)
+            raise UsageError(f"{name} = {value!r}; choose {', '.join(others)} or {last}")
     if window != "auto" and window is not None and (isinstance(window, str) or window < 2):
         raise UsageError(f"window = {window}; a shooting window needs at least 2 samples, or None for one window")
     if max_iterations < 1:

@@ -275,17 +275,7 @@ def _propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the standard deviations of modes and static gain of the first part's model."""
     part = problem.parts[0]
-    n = model.n_states  # the states that follow are offsets of random walks
     A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
-    A, B, C, B_delayed = (
-        Dual(m.value[rows, columns], m.slope[:, rows, columns])
-        for m, rows, columns in (
-            (A, slice(n), slice(n)),
-            (B, slice(n), slice(None)),
-            (C, slice(None), slice(n)),
-            (B_delayed, slice(n), slice(None)),
-        )
-    )
     own = chosen[np.ix_(part.index, part.index)]
     if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
         return np.full((len(model.modes()), 2), np.nan), np.full(model.D.shape, np.nan)

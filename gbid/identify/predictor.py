@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -17,6 +17,7 @@ from gbid.discretise import (
     constant,
     delayed_taps,
     discretise,
+    look_ahead,
     side_by_side,
 )
 from gbid.errors import UsageError
@@ -131,7 +132,7 @@ class Predictor:
         UsageError
             When an exact delay is negative.
         """
-        A, B, C, D, K, B_delayed, delay = self.matrices(theta)
+        A, B, C, D, K, B_delayed, delay = self._evaluate(theta)
         n_p, n_y = len(self.free), self.n_outputs
         prompt, lead = list(self.prompt), self._lead
         acting = [B.columns(prompt)] if prompt else []
@@ -167,7 +168,7 @@ class Predictor:
             none = constant(np.zeros((n_y, n_y)), n_p)
             parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
         if self.horizon > 1:
-            parts = _look_ahead(parts, F, drive, C, feed, self.horizon)
+            parts = look_ahead(parts, F, drive, C, feed, self.horizon)
         F, G, C, H = parts
         return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
 
@@ -205,7 +206,12 @@ class Predictor:
         return outputs[self.horizon - 1 :]
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
-        """Return the continuous-time matrices with their derivatives."""
+        """Return the matrices of the structure in continuous time with their derivatives, as in `Matrices`."""
+        A, B, C, D, K, B_delayed, delay = self._evaluate(theta)
+        own = slice(self.n_states - len(self.disturbances.walking))  # the states of random walks are the last
+        return [A.rows(own).columns(own), B.rows(own), C.columns(own), D, K.rows(own), B_delayed.rows(own), delay]
+
+    def _evaluate(self, theta: FloatArray) -> list[Dual]:
         n_p = len(self.free)
         flat, jacobian = (np.asarray(m, float) for m in self._function(theta))
         flat = flat[:, 0]
@@ -326,25 +332,3 @@ def _only_in_gain(m: Matrices) -> frozenset[str]:
 def _driven(matrix: ca.SX) -> list[int]:
     """Return the columns of a matrix that have entries."""
     return sorted(set(matrix.sparsity().get_triplet()[1]))
-
-
-def _look_ahead(
-    parts: tuple[Dual, Dual, Dual, Dual], A: Any, drive: Any, C: Any, feed: Any, horizon: int
-) -> tuple[Dual, Dual, Dual, Dual]:
-    """Return a one-step predictor extended to a longer horizon without new measurements.
-
-    ``yhat[k+h-1] = C A^(h-1) x[k] + sum_i C A^(h-2-i) drive z[k+i] + feed z[k+h-1]``.
-    """
-    F, G, _, _ = parts
-    n_p = len(F.slope)
-    n_now, n_first = drive.shape[1], G.shape[1]
-    output, columns = C, [feed]  # for z[k+h-1], then backwards
-    for _ in range(horizon - 1):
-        columns.append(output @ drive)
-        output = output @ A
-    columns.reverse()
-    n_y = C.shape[0]
-    feedback = [constant(np.zeros((n_y, n_first - n_now)), n_p)] if n_first > n_now else []
-    H = side_by_side([columns[0], *feedback, *columns[1:]])
-    rest = constant(np.zeros((F.shape[0], (horizon - 1) * n_now)), n_p)
-    return F, side_by_side([G, rest]), output, H

@@ -236,7 +236,9 @@ class Shooting:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
         if self.criterion == "det":
             return self.cost(np.diag(self._floors) * _WELL_BELOW)
-        return self.cost(np.eye(len(self.output_weights)) * self._floor * _WELL_BELOW / float(self.output_weights.sum()))
+        return self.cost(
+            np.eye(len(self.output_weights)) * self._floor * _WELL_BELOW / float(self.output_weights.sum())
+        )
 
     @property
     def _power(self) -> float:
