@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
@@ -87,6 +88,18 @@ def load_library(source: str) -> ctypes.CDLL:
         ) from None
 
 
+def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
+    """Compile a C file to a shared library for others than this process, with flags of its own.
+
+    Raises
+    ------
+    CompilerMissingError
+        When there is no compiler, or when the compiler fails; the text has its first error.
+    """
+    command, _ = _compiler()
+    _run(command, [*flags, str(source), "-o", str(library), "-lm"], source.name)
+
+
 @cache
 def _compiler() -> tuple[list[str], str]:
     """Return the command of the C compiler and the text of its version."""
@@ -114,10 +127,14 @@ def _compile(command: list[str], source: str, library: Path) -> None:
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         text, built = Path(folder) / "kernel.c", Path(folder) / "kernel.so"
         text.write_text(source)
-        result = subprocess.run(
-            [*command, *FLAGS, str(text), "-o", str(built)], capture_output=True, text=True, check=False
-        )
-        if result.returncode != 0:
-            first = (result.stderr.strip() or result.stdout.strip()).splitlines()[:1]
-            raise CompilerMissingError(f"{command[0]} failed on the kernel: {first[0] if first else result.returncode}")
+        _run(command, [*FLAGS, str(text), "-o", str(built)], "the kernel")
         built.replace(library)
+
+
+def _run(command: list[str], arguments: list[str], what: str) -> None:
+    """Run the compiler; its first line that names an error is the reason when it fails."""
+    result = subprocess.run([*command, *arguments], capture_output=True, text=True, check=False)
+    if result.returncode != 0:
+        said = (result.stderr.strip() or result.stdout.strip() or str(result.returncode)).splitlines()
+        first = next((line for line in said if "error" in line), said[0])
+        raise CompilerMissingError(f"{command[0]} failed on {what}: {first}")
