@@ -15,7 +15,7 @@ _FAR = 5.0  # smallest deviation from the truth, in standard deviations, that no
 
 
 def summary_lines(document: Row) -> Iterator[Line]:
-    """Yield the lines of the summary: fit percent, weights of outputs, residuals, start, status of the solver, and notes.
+    """Yield the lines of the summary: fit percent, weights, residuals, start, status of the solver, and notes.
 
     Parameters
     ----------
