@@ -234,11 +234,8 @@ class Shooting:
     @property
     def exact_cost(self) -> float:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
-        if self.criterion == "det":
-            return self.cost(np.diag(self._floors) * _WELL_BELOW)
-        return self.cost(
-            np.eye(len(self.output_weights)) * self._floor * _WELL_BELOW / float(self.output_weights.sum())
-        )
+        n_y = len(self.output_weights)
+        return self.cost(np.diag(self._floors) * _WELL_BELOW / (n_y if self.criterion == "trace" else 1))
 
     @property
     def _power(self) -> float:
@@ -251,7 +248,7 @@ class Shooting:
 
     @property
     def _floors(self) -> FloatArray:
-        """The same of each output, for the determinant; outputs may have very different units."""
+        """The same of each output, in its own units."""
         return self._floor / self.output_weights
 
     @property
