@@ -40,7 +40,7 @@ class Shooting:
     criterion : {"trace", "det"}
         Cost: weighted trace or determinant of the covariance of the errors.
     output_weights : (n_y,) array
-        Weights of the squared errors in the trace. The determinant uses them for the scale of each output only.
+        Weights of the squared errors in the trace; for the determinant the scale of each output.
     output_scale : float
         Total weighted standard deviation of the outputs.
     theta_scale : (n_p,) array
@@ -156,8 +156,8 @@ class Shooting:
     def weight(self, error_products: FloatArray) -> FloatArray:
         """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
         if self.criterion == "trace":
-            W = np.diag(self.output_weights)
-            return np.asarray(W / (float(np.trace(W @ error_products)) + self._floor))
+            total = self.output_weights @ np.diag(error_products) + self._floor
+            return np.asarray(np.diag(self.output_weights) / total)
         return np.asarray(np.linalg.inv(error_products + np.diag(self._floors)))
 
     def cost(self, error_products: FloatArray) -> float:
@@ -166,8 +166,7 @@ class Shooting:
         The logarithm does not change the optimum. It makes the solver's tolerance relative to the remaining errors.
         """
         if self.criterion == "trace":
-            total = float(self.output_weights @ np.diag(error_products))
-            return 0.5 * float(np.log((total + self._floor) / self._power))
+            return 0.5 * float(np.log((self.output_weights @ np.diag(error_products) + self._floor) / self._power))
         units = np.sqrt(self.output_weights / self._power)
         return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
 
@@ -234,8 +233,8 @@ class Shooting:
     @property
     def exact_cost(self) -> float:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
-        n_y = len(self.output_weights)
-        return self.cost(np.diag(self._floors) * _WELL_BELOW / (n_y if self.criterion == "trace" else 1))
+        outputs = len(self.output_weights) if self.criterion == "trace" else 1
+        return self.cost(np.diag(self._floors) * _WELL_BELOW / outputs)
 
     @property
     def _power(self) -> float:
