@@ -28,6 +28,7 @@ from fit_cases import (
 from places import SUPPORT
 
 from gbid import compiling
+from gbid.compiling import compiler, library
 from gbid.errors import UsageError
 from gbid.identify import fit
 from gbid.identify.disturbances.disturbances import Disturbances, Trend
@@ -54,7 +55,7 @@ def cache(tmp_path_factory):
 @pytest.fixture
 def fresh(monkeypatch):
     """Forget what this process has loaded, before and after."""
-    caches = (compiling.load_library, compiling._compiler)
+    caches = (compiling.load_library, compiler.find_compiler)
     for function in caches:
         function.cache_clear()
     yield monkeypatch
@@ -287,7 +288,7 @@ def test_the_second_load_does_not_compile(fresh, tmp_path):
     def never(*_):
         raise AssertionError("compiled again")
 
-    fresh.setattr(compiling, "_compile", never)
+    fresh.setattr(library, "compile_source", never)
     assert value_of(compiling.load_library(source), "twice") == 2.5
     assert list((tmp_path / "new" / "folder").glob("*.so")) == [built]
     # Another source has another name.
@@ -301,7 +302,6 @@ def test_a_damaged_library_is_built_anew(fresh, tmp_path, damage):
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
     name = f"damage{len(damage) if damage is not None else 'cut'}"
     source = SOURCE.format(name=name, value=7.0)
-    command, _ = compiling._compiler()
     # What load_library will look for, put there damaged before anything was loaded: a loaded file must not change.
     made = tmp_path / "elsewhere"
     fresh.setenv("GBID_CACHE_DIR", str(made))
@@ -310,21 +310,20 @@ def test_a_damaged_library_is_built_anew(fresh, tmp_path, damage):
     (tmp_path / good.name).write_bytes(good.read_bytes()[:500] if damage is None else damage)
     compiling.load_library.cache_clear()
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
-    assert command
     assert value_of(compiling.load_library(source), name) == 7.0
     assert (tmp_path / good.name).stat().st_size > 1000
 
 
 def _load_in_a_process(folder, source, log, ready, results):
     os.environ["GBID_CACHE_DIR"] = folder
-    compile_one = compiling._compile
+    compile_one = library.compile_source
 
     def counted(*arguments):
         with Path(log).open("a") as file:
             file.write("compiled\n")
         compile_one(*arguments)
 
-    compiling._compile = counted
+    library.compile_source = counted
     ready.wait(30)
     results.put(value_of(compiling.load_library(source), "race"))
 

@@ -32,7 +32,7 @@ class ChosenEngine(NamedTuple):
     name : {"compiled", "numpy"}
         Its name.
     note : str
-        Reason why it is not the compiled one, if that was wanted; else empty.
+        Reason why it is not the compiled one, if that was wanted, or is not taken from the cache; else empty.
     """
 
     run: PassEngine
@@ -65,7 +65,8 @@ def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenE
     if wanted == "numpy":
         return ChosenEngine(run_with_numpy, "numpy", "")
     try:
-        return ChosenEngine(CompiledEngine(samples), "compiled", "")
+        engine = CompiledEngine(samples)
+        return ChosenEngine(engine, "compiled", engine.note)
     except CompilerMissingError as missing:
         if wanted == "compiled":
             raise UsageError(f"engine = 'compiled': {missing}") from None
@@ -91,6 +92,7 @@ class CompiledEngine:
         arrays = tuple((array.shape, array.tobytes()) for array in pattern.arrays())
         library = load_library(_source(arrays))
         self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
+        self.note = library.note
         self._pass.restype = self._predict.restype = self._adjoint.restype = None
 
     def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:

@@ -1,0 +1,153 @@
+"""The cache of compiled libraries: whose it is, whether it is whole, and compilers that fail or hang."""
+
+import ctypes
+import os
+import shutil
+import stat
+import subprocess
+import sys
+import time
+
+import pytest
+from filelock import FileLock
+
+from gbid.compiling import CompilerMissingError, compiler, library, load_library
+
+COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
+needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
+needs_owners = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners on this system")
+SOURCE = "double gbid_test_{name}(void) {{ return {value}; }}\n"
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A cache folder that nothing was loaded from."""
+    forget()
+    monkeypatch.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
+    yield tmp_path / "cache"
+    monkeypatch.undo()
+    forget()
+
+
+def forget():
+    for function in (load_library, compiler.find_compiler):
+        function.cache_clear()
+
+
+def value_of(loaded, name):
+    function = getattr(loaded, f"gbid_test_{name}")
+    function.restype = ctypes.c_double
+    return function()
+
+
+@needs_compiler
+@needs_owners
+def test_a_folder_that_others_may_write_to_is_not_used(folder):
+    source = SOURCE.format(name="shared", value=2.5)
+    assert load_library(source).note == ""
+    (built,) = folder.glob("*.so")
+    # What another user could have put there: a library of that name with another value, and its checksum.
+    compiler.compile_source(compiler.find_compiler(), library.FLAGS, SOURCE.format(name="shared", value=666.0), built)
+    built.write_bytes(library.with_checksum(built.read_bytes()))
+    folder.chmod(0o777)
+    load_library.cache_clear()
+    loaded = load_library(source)
+    assert value_of(loaded, "shared") == 2.5
+    assert "other users may write to" in loaded.note
+    assert "chmod go-w" in loaded.note
+
+
+@needs_compiler
+@needs_owners
+def test_a_library_that_others_may_write_to_is_built_anew(folder):
+    source = SOURCE.format(name="open", value=2.5)
+    load_library(source)
+    (built,) = folder.glob("*.so")
+    compiler.compile_source(compiler.find_compiler(), library.FLAGS, SOURCE.format(name="open", value=666.0), built)
+    built.write_bytes(library.with_checksum(built.read_bytes()))
+    built.chmod(0o777)
+    load_library.cache_clear()
+    assert value_of(load_library(source), "open") == 2.5
+    assert not built.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+@needs_compiler
+def test_any_flipped_bit_of_a_library_is_noticed_before_it_is_loaded(folder, tmp_path):
+    source = SOURCE.format(name="flip", value=4.5)
+    load_library(source)
+    (built,) = folder.glob("*.so")
+    whole = built.read_bytes()
+    for place in range(40, len(whole), len(whole) // 7):
+        changed = bytearray(whole)
+        changed[place] ^= 16
+        other = tmp_path / f"at{place}"
+        other.mkdir(mode=0o700)
+        (other / built.name).write_bytes(changed)
+        os.environ["GBID_CACHE_DIR"] = str(other)
+        load_library.cache_clear()
+        assert value_of(load_library(source), "flip") == 4.5
+        assert (other / built.name).read_bytes()[40:2000] == whole[40:2000]
+
+
+@needs_compiler
+def test_a_lock_that_is_held_is_told_and_gone_round(folder, monkeypatch):
+    source = SOURCE.format(name="held", value=1.5)
+    load_library(source)
+    (lock,) = folder.glob("*.lock")
+    (folder / f"{lock.stem}.holder").write_text("process 12345 on elsewhere")
+    load_library.cache_clear()
+    monkeypatch.setattr(library, "_PATIENCE_S", 0.1)
+    with FileLock(lock):
+        loaded = load_library(source)
+    assert value_of(loaded, "held") == 1.5
+    assert "process 12345 on elsewhere has held" in loaded.note
+
+
+def script(tmp_path, lines):
+    made = tmp_path / "my-cc"
+    made.write_text(f'#!/bin/sh\n[ "$1" = --version ] && echo mine 1.0 && exit 0\n{lines}\n')
+    made.chmod(0o755)
+    return str(made)
+
+
+def test_a_compiler_that_hangs_is_stopped_with_all_its_processes(folder, tmp_path, monkeypatch):
+    marker = f"sleep 31.{os.getpid()}"
+    monkeypatch.setenv("CC", script(tmp_path, f"{marker} & {marker}"))
+    monkeypatch.setattr(compiler, "_LIMIT_S", 0.5)
+    with pytest.raises(CompilerMissingError, match=r"my-cc did not end within 0\.5 s and was stopped"):
+        load_library(SOURCE.format(name="hang", value=1.0))
+    time.sleep(0.2)
+    running = subprocess.run(["ps", "-eo", "stat,args"], capture_output=True, text=True, check=True).stdout
+    assert not [line for line in running.splitlines() if marker in line and not line.startswith("Z")]
+    assert [p.name for p in folder.iterdir() if not p.name.endswith(".lock")] == []
+
+
+def test_a_compiler_that_writes_no_utf_8_is_quoted(folder, tmp_path, monkeypatch):
+    monkeypatch.setenv("CC", script(tmp_path, r"printf '\377 no luck\n' >&2; exit 1"))
+    with pytest.raises(CompilerMissingError, match="failed on the kernel: \ufffd no luck"):
+        load_library(SOURCE.format(name="latin", value=1.0))
+
+
+def test_an_open_quotation_mark_in_the_name_of_the_compiler_is_told(folder, monkeypatch):
+    monkeypatch.setenv("CC", "gcc 'x")
+    with pytest.raises(CompilerMissingError, match=r"CC = .*No closing quotation"):
+        load_library(SOURCE.format(name="quote", value=1.0))
+
+
+@needs_compiler
+def test_interrupting_the_compiler_leaves_nothing_behind(folder, tmp_path):
+    """Ctrl-C while it compiles: the compiler ends with the process, and the cache has no file of it."""
+    marker = f"sleep 32.{os.getpid()}"
+    code = (
+        "import os, signal, threading, gbid.compiling as c\n"
+        "threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT)).start()\n"
+        "try:\n    c.load_library('int x;')\nexcept KeyboardInterrupt:\n    print('interrupted')\n"
+    )
+    environment = {**os.environ, "CC": script(tmp_path, marker)}
+    ended = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=25, env=environment, check=True
+    )
+    assert ended.stdout == "interrupted\n"
+    running = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    assert marker not in running
+    assert [p.name for p in folder.iterdir() if not p.name.endswith(".lock")] == []
