@@ -236,7 +236,7 @@ def _notes(
 
 
 def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
-    if not problem.at_edge(theta):
+    if not any(problem.parts_at_edge(theta)):
         return ()
     return (
         "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "

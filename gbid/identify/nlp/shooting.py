@@ -184,12 +184,8 @@ class Shooting:
         """Indices of the parameters on which only disturbance gains depend."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
-    def at_edge(self, theta: FloatArray) -> bool:
-        """Whether a predictor is so close to instability that its disturbance gain is not a valid estimate."""
-        return any(self.parts_at_edge(theta))
-
     def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
-        """Yield, for each part, whether its predictor is that close to instability."""
+        """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
         watched = bool(self.noise) and self.stable_only
         return (watched and near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
 

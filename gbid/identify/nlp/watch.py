@@ -144,7 +144,7 @@ class Watch(ca.Callback):
         predictor there is no minimum, which the result reports.
         """
         problem, iterate = self._problem, self._problem.at(x)
-        if self._changes_over or problem.at_edge(problem.unpack(x)[0]):
+        if self._changes_over or any(problem.parts_at_edge(problem.unpack(x)[0])):
             return True
         limits, low, high = problem.limits
         values = limits @ x[: problem.n_theta]
