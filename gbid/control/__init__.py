@@ -39,12 +39,27 @@ from gbid.control.loop.norm import Peak, peak_gain
 from gbid.control.loop.sampled import SampledLoop, exact_plant, sampled_loop
 from gbid.control.loop.sampling import sample_controller, sample_plant
 from gbid.control.loop.sensitivity import Sensitivities, sensitivities
-from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
+from gbid.control.tuning.gain_result import GainResult, GainStatus, GoalFigure, WorstMode
+from gbid.control.tuning.goals.disturbance import DisturbanceSpectrum, recorded_disturbance
+from gbid.control.tuning.goals.goal import Goal, Wanted
+from gbid.control.tuning.goals.margin_goals import MinGainMargin, MinPhaseMargin
+from gbid.control.tuning.goals.mode_goals import MaxDamping, MaxDecay, MinDamping, SlowestPole
+from gbid.control.tuning.goals.response_goals import (
+    MinDiskMargin,
+    PeakComplementary,
+    PeakControl,
+    PeakSensitivity,
+    ResponseGoal,
+    RollOff,
+    StaticAmplification,
+)
+from gbid.control.tuning.goals.rms_goals import RmsControl, RmsGoal, RmsPosition
+from gbid.control.tuning.goals.travel_goal import PiezoTravel
 from gbid.control.tuning.maximise import maximise_damping
 from gbid.control.tuning.pareto import ParetoFront, pareto
+from gbid.control.tuning.plants.uncertainty import Uncertainty
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.tune import tune
-from gbid.control.tuning.uncertainty import Uncertainty
 
 __all__ = [
     "Assessment",
@@ -52,28 +67,49 @@ __all__ = [
     "Comparison",
     "ControllerDesign",
     "DiskMargin",
+    "DisturbanceSpectrum",
     "GainResult",
     "GainStatus",
+    "Goal",
+    "GoalFigure",
     "HalfSine",
     "ImpactFigures",
     "ImpactResponse",
     "ImpactStudy",
     "ImpactValidation",
     "LoopMargins",
+    "MaxDamping",
+    "MaxDecay",
     "MeasuredImpact",
+    "MinDamping",
+    "MinDiskMargin",
+    "MinGainMargin",
+    "MinPhaseMargin",
     "PDStructure",
     "PStructure",
     "ParetoFront",
     "Peak",
+    "PeakComplementary",
+    "PeakControl",
+    "PeakSensitivity",
+    "PiezoTravel",
     "PointAssessment",
+    "ResponseGoal",
     "RingDown",
     "RingDownStatus",
+    "RmsControl",
+    "RmsGoal",
+    "RmsPosition",
+    "RollOff",
     "SampledLoop",
     "Scheduled",
     "SearchStep",
     "Sensitivities",
     "SensitivityData",
+    "SlowestPole",
+    "StaticAmplification",
     "Uncertainty",
+    "Wanted",
     "WorstMode",
     "assess",
     "close_loop",
@@ -96,6 +132,7 @@ __all__ = [
     "p_controller",
     "pareto",
     "peak_gain",
+    "recorded_disturbance",
     "ringing_modes",
     "sample_controller",
     "sample_plant",

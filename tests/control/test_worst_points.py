@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from gain_problems import loops_of
 
-from gbid.control.tuning.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.plants.uncertainty import Uncertainty
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.measure import ExtraLimit
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
-from gbid.control.tuning.uncertainty import Uncertainty
 from gbid.control.tuning.worst_points import TOLERANCE, add_worst_points, measure
 from gbid.lpv import Domain
 

@@ -47,6 +47,28 @@ class WorstMode:
 
 
 @dataclass(frozen=True)
+class GoalFigure:
+    """What a design reached of one of its goals.
+
+    Attributes
+    ----------
+    name : str
+        Name of the goal.
+    soft : bool
+        Whether it was an objective.
+    excess : float
+        Logarithm of its value over its limit; of damping factors the limit minus the value. At most 0 where it is met.
+    where : str
+        Loop in which it is largest.
+    """
+
+    name: str
+    soft: bool
+    excess: Annotated[float, Stored("1", "value over limit, as a logarithm")]
+    where: str
+
+
+@dataclass(frozen=True)
 class GainResult:
     """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified figures.
 
@@ -57,8 +79,9 @@ class GainResult:
     value : float
         Smallest damping factor of the oscillatory modes over all loops, or slowest decay [1/s]; computed from the
         eigenvalues of the final matrices.
-    objective : {"damping", "decay"}
-        Quantity that was maximised.
+    objective : {"damping", "decay", "goals"}
+        Quantity that was maximised. ``"goals"``: the smallest of minus the excesses of the soft goals, which `value`
+        then is.
     status : GainStatus
         Why the search ended. When limits contradict or no gains stabilise, the gains are those with the smallest
         violation found.
@@ -82,6 +105,8 @@ class GainResult:
         Progress of the search.
     points : tuple of (pressure_bar, speed_rpm)
         Operating points of the design, with worst points that were added; empty for given matrices.
+    goals : tuple of GoalFigure
+        What was reached of goals other than damping, decay, and the three figures above.
     controller : Structure or Scheduled, optional
         Structure of the gains.
     """
@@ -101,6 +126,7 @@ class GainResult:
     sample_time: float | None = None
     history: tuple[SearchStep, ...] = field(default=(), repr=False)
     points: Points = field(default=(), repr=False)
+    goals: tuple[GoalFigure, ...] = ()
     controller: Annotated[Any, NOT_STORED] = field(default=None, repr=False)
 
     def __post_init__(self) -> None:

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from gbid.arrays import FloatArray
-from gbid.control.tuning.loops_at_points import LoopsAtPoints
 from gbid.control.tuning.maximise import solve
+from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
@@ -18,26 +16,28 @@ _FEW, _MANY = 5, 30
 
 def solve_over_points(
     problem: GainProblem,
-    plants: LoopsAtPoints,
+    plants: PlantSet,
     points: FloatArray,
     neutral: FloatArray,
     effort: Effort,
     first: list[FloatArray],
     progress: Progress | None,
+    found: LocalOptimum | None = None,
 ) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
     """Return the optimum over all loops and the history; many loops are handled with a working set.
 
     The search starts with some loops and adds those in which the design is worse. A design that is optimal for some
-    loops and not worse in the others is optimal for all. With few gains every round is a global search, so that this
+    loops and not worse in the others is optimal for all. A known design
+    replaces the first search. With few gains every round is a global search, so that this
     also holds for the result. With many gains each round is a local optimisation from the last design.
     """
     whole = problem.families
     few_gains = len(neutral) <= 3
     if len(whole[0]) <= (_MANY if few_gains else _FEW):
-        return solve(problem, neutral, effort, first, progress)
-    chosen = _corners(points)
+        return solve(problem, neutral, effort, first, progress, found)
+    chosen = plants.first(points)
     problem.families = (plants.family(points, chosen),)
-    found, history = solve(problem, neutral, effort, first, progress)
+    found, history = solve(problem, neutral, effort, first, progress, found)
     while True:
         measures = problem.by_loop(whole[0], found.x)
         measures[0] += found.score.value
@@ -55,11 +55,3 @@ def solve_over_points(
     problem.families, problem.cuts = whole, []
     found, more = solve(problem, neutral, effort, found=found, progress=progress)
     return found, history + more
-
-
-def _corners(points: FloatArray) -> list[int]:
-    """Return the indices of the points nearest to the corners of the rectangle that contains all points."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    unit = (points - low) / np.where(high > low, high - low, 1.0)
-    corners = [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)]
-    return list(dict.fromkeys(int(np.argmin(((unit - corner) ** 2).sum(axis=1))) for corner in corners))

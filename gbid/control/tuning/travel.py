@@ -37,7 +37,8 @@ def travel_limit(plant: LinearModel, impact: HalfSine, piezo_travel_m: float) ->
     limit = piezo_travel_m / 2
 
     def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
-        loops = family.matrices(gains)
+        # of sampled loops the continuous ones with the delay of sampling
+        loops = (getattr(family, "companion", None) or family).matrices(gains)
         # the states of the plant come first in every loop; the force does not act on the controller
         E = np.vstack([entry, np.zeros((loops.A.shape[1] - len(entry), entry.shape[1]))])
         system = Eigensystem.of(loops.A)

@@ -1,4 +1,4 @@
-"""Tuning of a controller of fixed structure over the operating points of an LPV model."""
+"""Tuning of a controller of fixed structure, over the operating points of an LPV model or over any plants."""
 
 from __future__ import annotations
 
@@ -8,39 +8,42 @@ from typing import Literal
 
 import numpy as np
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import FloatArray
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
+from gbid.control.loop.sampling import Method
+from gbid.control.tuning.design_notes import goal_figures, notes_of
 from gbid.control.tuning.gain_result import GainResult
-from gbid.control.tuning.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
+from gbid.control.tuning.goals.short_form import ShortForm
 from gbid.control.tuning.maximise import as_bounds, as_start, summarise, typical_rate
 from gbid.control.tuning.over_points import solve_over_points
+from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.plants.plants_of import DesignPlants, PlantLike, Point, plants_of
+from gbid.control.tuning.plants.sampled_loops import Sampling
+from gbid.control.tuning.plants.uncertainty import Uncertainty
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.limits import Limits, Objective
-from gbid.control.tuning.search.loop_delay import PADE_ORDER, loop_delay, smallest_sampled_damping
+from gbid.control.tuning.search.loop_delay import loop_delay
 from gbid.control.tuning.search.loop_family import loop_equations
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
-from gbid.control.tuning.travel import travel_limit
-from gbid.control.tuning.uncertainty import Uncertainty
-from gbid.control.tuning.verify import distance_to_edge
+from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.worst_points import add_worst_points
 from gbid.errors import UsageError
-from gbid.lpv import LPVModel
-from gbid.operating_point import point_label
-from gbid.poles import is_real
 from gbid.structure.linear import Structure
-
-Point = tuple[float, float]
 
 
 def tune(
-    lpv: LPVModel,
+    model: PlantLike | Sequence[PlantLike],
+    controller: str | Structure | Scheduled = "P",
     *,
+    goals: Sequence[Goal] | None = None,
     operating_points: Sequence[Point] | Literal["domain"] | None = None,
     actuator: Mapping[str, float] | None = None,
-    controller: str | Structure | Scheduled = "P",
+    inputs: Sequence[str] | None = None,
+    outputs: Sequence[str] | None = None,
     peak_sensitivity: float | None = 2.6,
     peak_control: float | None = None,
     static_amplification: float | None = None,
@@ -52,6 +55,7 @@ def tune(
     objective: Objective = "damping",
     sample_time: float | None = None,
     computation_s: float | None = None,
+    method: Method = "tustin",
     start: Mapping[str, float] | None = None,
     starts: int | None = None,
     seed: int = 0,
@@ -67,17 +71,24 @@ def tune(
 
     Parameters
     ----------
-    lpv : LPVModel
-        Model of the plant, with actuators.
+    model : LPVModel, LinearModel, LPVFit, FitResult, or sequence of these
+        The plant. An LPV model has actuators. Of a list the design holds for all models: fits of several recordings,
+        draws, or worst cases. Linear models are continuous; their delays may be exact.
+    controller : str, Structure or Scheduled
+        See `gbid.controller_structure`; by default P with a first-order low-pass of 1000 Hz. To tune the corner
+        frequency as well, use ``controller_structure("P", tune_corner=True)``. For gains that depend on pressure and
+        speed, use `gbid.control.scheduled`.
+    goals : sequence of Goal, optional
+        Objectives and limits as values from `gbid.control`, such as ``[MaxDamping(), PeakSensitivity(2.0)]``. They
+        replace `objective`, `peak_sensitivity`, `peak_control`, `static_amplification`, `slowest_pole`, `impact`
+        and `piezo_travel_m`, which are their short form.
     operating_points : sequence of (pressure_bar, speed_rpm), or "domain", optional
         Operating points; by default those of the model. ``"domain"``: the whole rectangle. The worst points are then
         found and added until none is worse by more than 1e-4.
     actuator : dict of str to float, optional
         Parameters of Eq. 12 [rad/s, m/m]; by default those of the model.
-    controller : {"P", "PD", "biquad"}, Structure or Scheduled
-        See `gbid.controller_structure`; by default P with a first-order low-pass of 1000 Hz. To tune the corner
-        frequency as well, use ``controller_structure("P", tune_corner=True)``. For gains that depend on pressure and
-        speed, use `gbid.control.scheduled`.
+    inputs, outputs : sequence of str, optional
+        Channels of linear models that the controller drives and measures, in the order of its outputs and inputs.
     peak_sensitivity : float, optional
         Limit M on the peak of the output sensitivity; None maximises damping without this limit, see Notes.
     peak_control, static_amplification : float, optional
@@ -96,12 +107,14 @@ def tune(
     objective : {"damping", "decay"}
         Smallest damping factor of the oscillatory modes, or slowest decay ``-Re`` of all poles [1/s].
     sample_time : float, optional
-        Sample time of a design for the sampled loop [s]. Holding the references adds a delay of half a sample, their
-        computation adds `computation_s`. Both are modelled as one delay. This delay and those of the model are Padé
-        approximations of order 3. The value and the peaks are of that loop, and the notes give the damping of the
-        exactly sampled loop. Without `sample_time` the loop is continuous and has more damping than the sampled one.
+        Sample time of the target [s]. The design is then that of the sampled controller itself: the plant is
+        discretised exactly with held references and its own delays, and the objective is the damping of the sampled
+        loop. A continuous design with Padé delays of order 3 is the start. Without `sample_time` the loop is continuous
+        and has more damping than the sampled one.
     computation_s : float, optional
         Time from the sample of p to the change of r [s]; one sample when not given.
+    method : {"tustin", "zoh"}
+        Discretisation of a sampled controller, see `gbid.control.sample_controller`.
     start : dict of str to float, optional
         Gains as an additional start value.
     starts, seed
@@ -117,8 +130,8 @@ def tune(
     Raises
     ------
     UsageError
-        When a point lies outside the domain of the model, when limits or bounds are not allowed, or when a gain is
-        unknown.
+        When a point lies outside the domain of the model, when goals, limits or bounds are not allowed, when a gain is
+        unknown, or when the channels of the plant do not fit the controller.
 
     Notes
     -----
@@ -135,86 +148,76 @@ def tune(
     0.318
     """
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
-    over_domain = isinstance(operating_points, str)
-    points = _points(lpv, operating_points)
-    delay_s = loop_delay(sample_time, computation_s)
-    if delay_s:
-        lpv = replace(lpv, pade_order=PADE_ORDER)
-    equations = loop_equations(lpv, structure, None if actuator is None else dict(actuator), delay_s=delay_s)
-    plants = LoopsAtPoints(structure, equations, points, uncertainty)
+    short = ShortForm(
+        objective, peak_sensitivity, peak_control, static_amplification, slowest_pole, impact, piezo_travel_m
+    )
+    loop_delay(sample_time, computation_s)  # raises the errors of the two
+    sampling = None
+    if sample_time is not None:
+        sampling = Sampling(sample_time, sample_time if computation_s is None else computation_s, method)
+    design = plants_of(model, structure, operating_points, actuator, uncertainty, sampling, (inputs, outputs))
+    limits = limits_of(short.goals(goals, min(design.slowest)), DesignContext(design.plant))
     low, high, start_gains = _gain_bounds(structure, bounds)
-    names = tuple(parameter.name for parameter in equations.gains)
-    family = plants.family(points)
-    open_loop = [_slowest_mode(lpv.at(float(P), float(Omega)).poles()) for P, Omega in points]
-    if slowest_pole is None:
-        slowest_pole = 0.0 if peak_sensitivity is None else max(min(open_loop), 0.0)
-    limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
-    if impact is not None:
-        model = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
-        plant = model.plant_at(float(points[0, 0]), float(points[0, 1]))
-        limits = replace(limits, extra=(travel_limit(plant, impact, piezo_travel_m),))
-    problem = GainProblem((family,), limits, low, high, typical_rate((family,), start_gains))
-    problem.linear = plants.gain_limits(points)
+    names = tuple(parameter.name for parameter in structure.parameters)
     unknown = [name for name in start or {} if name not in names]
     if unknown:
         raise UsageError(f"start: no gain {', '.join(unknown)}; there are {', '.join(names)}")
     first = (
         [] if start is None else [as_start([start.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)]
     )
+    effort = Effort(starts, seed)
     if isinstance(structure, Scheduled):
-        first.append(
-            _constant_gains(lpv, structure, points, limits, actuator, uncertainty, Effort(starts, seed), delay_s)
-        )
-    optimum, history = solve_over_points(problem, plants, points, start_gains, Effort(starts, seed), first, progress)
-    verified = f"eigenvalues and exact H-infinity norms of {len(family)} loops"
-    if over_domain:
-        optimum, problem, more, verified = add_worst_points(problem, optimum, plants, lpv.domain, progress)
+        first.append(_constant_gains(design, structure, limits, effort))
+    problem, optimum, history = _search(design, limits, (low, high, start_gains), effort, first, progress)
+    verified = f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops"
+    if design.domain is not None:
+        plants = design.sampled or design.continuous
+        optimum, problem, more, verified = add_worst_points(problem, optimum, plants, design.domain, progress)
         history += more
-    unstable = [point_label(P, Omega) for (P, Omega), rate in zip(points, open_loop, strict=True) if rate <= 0]
-    notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
-    notes += _edge_notes(problem, optimum, names, peak_sensitivity)
     used = problem.families[0].points
-    assert used is not None
-    if sample_time is not None:
-        machine = lpv if actuator is None else replace(lpv, actuators=dict(actuator))
-        gains = dict(zip(names, map(float, optimum.x), strict=True))
-        where = sorted({(float(P), float(Omega)) for P, Omega in used})
-        truly, (P, Omega) = smallest_sampled_damping(machine, structure, gains, where, sample_time, computation_s)
-        notes += (
-            f"designed for sampling at {1e3 * sample_time:g} ms with {1e3 * delay_s:g} ms more delay; the sampled loop "
-            f"itself has a smallest damping factor of {truly:.3f}, at {point_label(P, Omega)}",
-        )
-    return summarise(
+    points = () if used is None else tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used))
+    notes = notes_of(design, problem, optimum, names, structure, points, sampling)
+    result = summarise(
         problem,
         optimum,
         names,
         history,
         verified,
         notes,
-        points=tuple(dict.fromkeys((float(P), float(Omega)) for P, Omega in used)),
+        points=points,
         controller=structure,
         sample_time=sample_time,
     )
+    return goal_figures(problem, optimum, result)
 
 
-def _points(lpv: LPVModel, given: Sequence[Point] | str | None) -> FloatArray:
-    """Return operating points (m, 2), checked against the domain; of a whole domain its corners and middles."""
-    if isinstance(given, str):
-        if given != "domain":
-            raise UsageError(f"operating_points = {given!r}; give a list of (pressure_bar, speed_rpm) or 'domain'")
-        (p0, p1), (w0, w1) = lpv.domain.pressure_bar, lpv.domain.speed_rpm
-        return np.array([(p, w) for p in (p0, (p0 + p1) / 2, p1) for w in (w0, (w0 + w1) / 2, w1)])
-    points = lpv.operating_points if given is None else given
-    try:
-        array = np.array([(float(P), float(Omega)) for P, Omega in points])
-    except (TypeError, ValueError):
-        raise UsageError("operating_points: give a list of (pressure_bar, speed_rpm)") from None
-    if not len(array):
-        raise UsageError(
-            f"model {lpv.name!r} lists no operating points; give operating_points=[(pressure, speed), ...]"
-        )
-    lpv.domain.check(array[:, 0], array[:, 1], f"model {lpv.name!r}")
-    return array
+def _search(
+    design: DesignPlants,
+    limits: Limits,
+    box: tuple[FloatArray, FloatArray, FloatArray],
+    effort: Effort,
+    first: list[FloatArray],
+    progress: Progress | None,
+) -> tuple[GainProblem, LocalOptimum, tuple[SearchStep, ...]]:
+    """Return problem, optimum and history: of the continuous loops, and from there of the sampled ones."""
+    low, high, neutral = box
+    problem: GainProblem | None = None
+    found: LocalOptimum | None = None
+    history: tuple[SearchStep, ...] = ()
+    for plants in (design.continuous, design.sampled):
+        if plants is None:
+            continue
+        family = plants.family(design.points)
+        problem = GainProblem((family,), limits, low, high, typical_rate((family,), neutral))
+        problem.linear = plants.gain_limits(design.points)
+        starts = first if found is None else [found.x, *first]
+        # few gains: a search of the whole box again, because it costs little; else from the continuous design
+        known = None if found is None or len(neutral) <= 3 else replace(found, converged=False)
+        found, more = solve_over_points(problem, plants, design.points, neutral, effort, starts, progress, known)
+        history += more
+    assert problem is not None
+    assert found is not None
+    return problem, found, history
 
 
 def _gain_bounds(
@@ -231,43 +234,18 @@ def _gain_bounds(
     return low, high, start
 
 
-def _slowest_mode(poles: ComplexArray) -> float:
-    """Return the slowest decay [1/s] of the oscillatory modes, negative when one is unstable."""
-    pairs = poles[~is_real(poles)]
-    return float(-pairs.real.max()) if len(pairs) else 0.0
-
-
-def _constant_gains(
-    lpv: LPVModel,
-    structure: Scheduled,
-    points: FloatArray,
-    limits: Limits,
-    actuator: Mapping[str, float] | None,
-    uncertainty: Uncertainty | None,
-    effort: Effort,
-    delay_s: float,
-) -> FloatArray:
+def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, effort: Effort) -> FloatArray:
     """Return the best constant gains as coefficients, a start value with which a schedule cannot become worse."""
-    equations = loop_equations(lpv, structure.base, None if actuator is None else dict(actuator), delay_s=delay_s)
+    known = design.continuous
+    assert isinstance(known, LoopsAtPoints)
+    assert known.lpv is not None
+    equations = loop_equations(known.lpv, structure.base, delay_s=known.delay_s)
+    plants = LoopsAtPoints(structure.base, equations, design.points, known.uncertainty, known.lpv, known.delay_s)
     low, high, start = _gain_bounds(structure.base, None)
-    plants = LoopsAtPoints(structure.base, equations, points, uncertainty)
-    family = plants.family(points)
+    family = plants.family(design.points)
     problem = GainProblem((family,), limits, low, high, typical_rate((family,), start))
-    best, _ = solve_over_points(problem, plants, points, start, effort, [], None)
+    best, _ = solve_over_points(problem, plants, design.points, start, effort, [], None)
     values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
     return np.array(
         [values.get(p.name.removesuffix("_1"), 0.0) if p.name.endswith("_1") else 0.0 for p in structure.parameters]
     )
-
-
-def _edge_notes(
-    problem: GainProblem, found: LocalOptimum, names: tuple[str, ...], cap: float | None
-) -> tuple[str, ...]:
-    """Return a note on the distance to instability of a design without a limit on S_o."""
-    if cap is not None or not problem.stable(found.x):
-        return ()
-    edge = distance_to_edge(problem, found.x, names)
-    note = "damping alone was maximised: the peak of S_o is not limited"
-    if np.isfinite(edge.change):
-        note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
-    return (note,)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.loops_at_points import LoopsAtPoints
 from gbid.control.tuning.maximise import solve
+from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
@@ -19,7 +19,7 @@ _MOST_ROUNDS = 20
 
 
 def add_worst_points(
-    problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain, progress: Progress | None
+    problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain, progress: Progress | None
 ) -> tuple[LocalOptimum, GainProblem, tuple[SearchStep, ...], str]:
     """Return a design over the whole domain: find points that are worse, add them, optimise again.
 
@@ -29,7 +29,7 @@ def add_worst_points(
         Problem over the first points.
     found : LocalOptimum
         Its optimum.
-    plants : LoopsAtPoints
+    plants : PlantSet
         Loops at any operating points.
     domain : Domain
         Rectangle of operating points.
@@ -75,7 +75,7 @@ def add_worst_points(
     return found, problem, tuple(history), text
 
 
-def _worse_points(problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoints, domain: Domain) -> FloatArray:
+def _worse_points(problem: GainProblem, found: LocalOptimum, plants: PlantSet, domain: Domain) -> FloatArray:
     """Return points at which the design is worse than at its own points, each refined to the worst nearby: (k, 2)."""
     axes = [np.linspace(low, high, _GRID if low < high else 1) for low, high in (domain.pressure_bar, domain.speed_rpm)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -96,7 +96,7 @@ def _worse_points(problem: GainProblem, found: LocalOptimum, plants: LoopsAtPoin
     return np.unique(np.array(worse), axis=0) if worse else np.zeros((0, 2))
 
 
-def measure(problem: GainProblem, x: FloatArray, plants: LoopsAtPoints, points: FloatArray) -> FloatArray:
+def measure(problem: GainProblem, x: FloatArray, plants: PlantSet, points: FloatArray) -> FloatArray:
     """Return measures of a design at points over all plants, larger is worse: minus objective, then limits (n, m)."""
     parts = []
     for block in np.array_split(points, max(1, len(points) // 128)):
@@ -108,7 +108,7 @@ def measure(problem: GainProblem, x: FloatArray, plants: LoopsAtPoints, points: 
 def _zoom(
     problem: GainProblem,
     x: FloatArray,
-    plants: LoopsAtPoints,
+    plants: PlantSet,
     point: FloatArray,
     step: FloatArray,
     domain: Domain,

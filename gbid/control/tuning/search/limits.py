@@ -47,8 +47,6 @@ class Limits:
             raise UsageError(f"objective = {self.objective!r}; choose 'damping' or 'decay'")
         if not (np.isfinite(self.slowest_pole) and self.slowest_pole >= 0):
             raise UsageError(f"slowest_pole = {self.slowest_pole}; give a rate of at least 0 in 1/s")
-        if not (np.isfinite(self.weight) and self.weight >= 0 and (self.weight > 0 or self.soft)):
-            raise UsageError(f"weight = {self.weight} of the objective; give a positive number")
         for name in ("peak_sensitivity", "peak_control", "static_amplification"):
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):

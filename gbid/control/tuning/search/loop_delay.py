@@ -9,6 +9,7 @@ import casadi as ca
 
 from gbid.control.controllers.scheduled import Scheduled, controller_at
 from gbid.control.loop.sampled import exact_plant, sampled_loop
+from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.structure import pade_delay
@@ -45,16 +46,16 @@ def smallest_sampled_damping(
     points: Iterable[tuple[float, float]],
     sample_time: float,
     computation_s: float | None,
+    method: Method = "tustin",
 ) -> tuple[float, tuple[float, float]]:
     """Return the smallest damping factor of the sampled loop over points, and its point; -1 when it is unstable.
 
-    Delays are exact, and the controller is discretised by Tustin's rule.
+    Delays are exact.
     """
     found = []
     for point in points:
-        loop = sampled_loop(
-            exact_plant(lpv, *point), controller_at(controller, gains, *point), sample_time, computation_s=computation_s
-        )
+        K = controller_at(controller, gains, *point)
+        loop = sampled_loop(exact_plant(lpv, *point), K, sample_time, computation_s=computation_s, method=method)
         found.append((loop.damping if loop.stable else -1.0, point))
     return min(found)
 

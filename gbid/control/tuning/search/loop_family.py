@@ -221,7 +221,7 @@ def loop_equations(
     values = {**actuators, **{name: key[name] + s[2 + i] for i, name in enumerate(KEY_PARAMETERS)}}
     plant = Plant(RotorBearing(lpv.pade_order, disturbance_gain="none"), PiezoPair(), outputs=("p",))
     G = plant.matrices(Values(values))
-    K = delayed_outputs(_controller_matrices(controller, gains, g, s), delay_s)
+    K = delayed_outputs(controller_matrices(controller, gains, g, s), delay_s)
     n, n_K = G["A"].shape[0], K["A"].shape[0]
     A = ca.blockcat([[G["A"] + G["B"] @ K["D"] @ G["C"], G["B"] @ K["C"]], [K["B"] @ G["C"], K["A"]]])
     B = ca.vertcat(G["B"] @ K["D"], K["B"])
@@ -233,18 +233,40 @@ def loop_equations(
     return LoopEquations(gains, ca.Function("loop", [g, s], matrices), ca.Function("slopes", [g, s], slopes))
 
 
-def _controller_matrices(
-    controller: Structure | Scheduled, gains: tuple[Parameter, ...], g: ca.SX, s: ca.SX
+def controller_matrices(
+    controller: Structure | Scheduled,
+    gains: tuple[Parameter, ...],
+    g: ca.SX,
+    s: ca.SX,
+    size: tuple[int, int] = (2, 2),
 ) -> dict[str, ca.SX]:
+    """Return the symbolic matrices A, B, C, D of a controller.
+
+    Parameters
+    ----------
+    controller : Structure or Scheduled
+        The controller.
+    gains : tuple of Parameter
+        Its gains.
+    g, s : casadi.SX
+        Values of the gains; pressure [bar] and speed [rpm].
+    size : (n_outputs, n_inputs)
+        Number of outputs and of inputs.
+
+    Raises
+    ------
+    UsageError
+        When a matrix has another shape.
+    """
     values = Values.of(gains, g)
     if isinstance(controller, Scheduled):
         given = dict(controller.matrices(values, s[0], s[1]))
     else:
         given = dict(controller.matrices(values))
-    given.setdefault("D", ca.SX(2, 2))
+    given.setdefault("D", ca.SX(*size))
     K = {letter: _as_sx(given[letter]) for letter in "ABCD"}
-    n = K["A"].shape[0]
-    for letter, shape in {"A": (n, n), "B": (n, 2), "C": (2, n), "D": (2, 2)}.items():
+    n, (n_r, n_p) = K["A"].shape[0], size
+    for letter, shape in {"A": (n, n), "B": (n, n_p), "C": (n_r, n), "D": (n_r, n_p)}.items():
         if K[letter].shape != shape:
             raise UsageError(f"controller {controller.name!r}: {letter} has shape {K[letter].shape}, expected {shape}")
     return K

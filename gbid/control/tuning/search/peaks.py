@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,10 +35,19 @@ def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, freq
     return np.asarray((CV[:, None] * resolvent[:, :, None, :]) @ WB[:, None] + loops.D[which][:, None, rows])
 
 
+def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
+    """Return the largest singular value at each frequency."""
+    return largest_singular_values(responses)
+
+
 def find_peaks(
-    loops: Loops, modes: Eigensystem, rows: slice, extra: tuple[IntArray, FloatArray] | None = None
+    loops: Loops,
+    modes: Eigensystem,
+    rows: slice,
+    extra: tuple[IntArray, FloatArray] | None = None,
+    gain: Callable[[ComplexArray, FloatArray], FloatArray] = _largest,
 ) -> Peaks:
-    """Return the local maxima of the largest singular value, refined in frequency.
+    """Return the local maxima of the gain of a response, refined in frequency.
 
     Parameters
     ----------
@@ -47,6 +57,9 @@ def find_peaks(
         Rows of the outputs.
     extra : (loop, frequency), optional
         Additional frequencies, found by an exact norm.
+    gain : callable
+        From responses (k, f, n_y, n_d) and their frequencies (k, f) to gains (k, f); by default the largest singular
+        value.
 
     Notes
     -----
@@ -63,7 +76,7 @@ def find_peaks(
         more[extra[0], np.arange(len(extra[0]))] = extra[1]
         grid = np.concatenate([grid, more], 1)
     grid = np.sort(grid, axis=1)
-    values = largest_singular_values(respond(loops, modes, rows, np.arange(m), grid))
+    values = gain(respond(loops, modes, rows, np.arange(m), grid), grid)
     padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
     # of neighbours at one frequency only the last counts
     top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > 0.6 * values.max(axis=1, keepdims=True))
@@ -74,7 +87,7 @@ def find_peaks(
     row = np.arange(len(loop))
     for _ in range(3):
         points = low[:, None] + (high - low)[:, None] * _STEPS
-        found = largest_singular_values(respond(loops, modes, rows, loop, points))
+        found = gain(respond(loops, modes, rows, loop, points), points)
         at = found.argmax(axis=1)
         better = found[row, at] > best
         best, place = np.where(better, found[row, at], best), np.where(better, points[row, at], place)

@@ -109,12 +109,13 @@ class GainProblem:
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
         if self.limits.measures:
-            states = [self._state(*pair, x) for pair in zip(self.families, every, strict=True)]
+            states = [self.state(*pair, x) for pair in zip(self.families, every, strict=True)]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
             value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
         return Score(value, max(violation, 0.0))
 
-    def _state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
+    def state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
+        """Return the loops of a family for given gains, as measures take them."""
         step = 1e-5 * (self.upper - self.lower)
         inwards = np.where(x + step > self.upper, -step, step)
         return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
@@ -155,9 +156,7 @@ class GainProblem:
         systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
         rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
         values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
-        states = [
-            self._state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)
-        ]
+        states = [self.state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)]
         softs = [(soft, f, state, soft.excess(state)) for soft in self.limits.soft for f, state in enumerate(states)]
         worst = min([*(float(v.min()) for v in values), *(-float(excess.max()) for *_, excess in softs)])
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
@@ -303,7 +302,7 @@ class GainProblem:
         system = Eigensystem.of(loops.A)
         rates = true_rates(system.values, family.sample_time)
         rows = [-self.aim(rates, family.sample_time).min(axis=1), (self.slowest + rates.real).max(axis=1) / self.scale]
-        state = self._state(family, loops, x, system)
+        state = self.state(family, loops, x, system)
         rows[0] = np.max([rows[0], *(soft.excess(state) for soft in self.limits.soft)], axis=0)
         if self.limits.has_responses and family.n_outputs:
             for _, peaks, limit in self._peaks(family, loops, system, []):

@@ -1,0 +1,96 @@
+"""Disturbance of the position: the spectrum that a recording shows, and lines such as unbalance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.signal import csd
+
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.errors import UsageError
+from gbid.recording import Recording
+
+
+@dataclass(frozen=True, eq=False)
+class DisturbanceSpectrum:
+    """Disturbance d of the measured position in the open loop, as a one-sided spectrum.
+
+    Parameters
+    ----------
+    frequency_hz : (k,) array
+        Frequencies, rising [Hz].
+    density : (k, n, n) array
+        Hermitian spectral density matrices of d [m^2/Hz]. The variance of d is the integral of its diagonal over
+        frequency. A line (unbalance at the speed) is a narrow peak of it.
+    name : str
+        Name.
+    """
+
+    frequency_hz: FloatArray
+    density: ComplexArray
+    name: str = "disturbance"
+
+    def __post_init__(self) -> None:
+        f, S = np.asarray(self.frequency_hz, float), np.asarray(self.density, complex)
+        if S.ndim != 3 or S.shape[0] != len(f) or S.shape[1] != S.shape[2] or len(f) < 2:
+            raise UsageError(f"disturbance: density has shape {S.shape}; give (k, n, n) for {len(f)} frequencies")
+        if not (np.isfinite(f).all() and np.isfinite(S).all() and (np.diff(f) > 0).all() and f[0] >= 0):
+            raise UsageError("disturbance: frequencies must rise from 0 or more, and all numbers must be finite")
+        object.__setattr__(self, "frequency_hz", f)
+        object.__setattr__(self, "density", S)
+
+    @property
+    def widths(self) -> FloatArray:
+        """Widths of the intervals around each frequency, for sums over frequency (k,) [Hz]."""
+        return np.gradient(self.frequency_hz)
+
+    @property
+    def rms(self) -> FloatArray:
+        """Rms of each channel (n,) [m]."""
+        return np.asarray(np.sqrt(np.einsum("k,kii->i", self.widths, self.density).real))
+
+
+def recorded_disturbance(
+    recordings: Recording | Sequence[Recording], signal: str = "p", *, segment_s: float = 0.5
+) -> DisturbanceSpectrum:
+    """Return the disturbance that recordings without excitation show: noise, unbalance and run-out.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of these
+        Recordings of the open loop at rest, at the operating points of the design.
+    signal : str
+        Name of the measured position.
+    segment_s : float
+        Length of the segments of Welch's estimate [s].
+
+    Returns
+    -------
+    DisturbanceSpectrum
+        Mean of the recordings' spectra.
+
+    Raises
+    ------
+    UsageError
+        When a recording has no such signal or is shorter than a segment, or when sample times differ.
+    """
+    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    if not every:
+        raise UsageError("recorded_disturbance: no recordings")
+    found = []
+    for recording in every:
+        if signal not in recording.signals:
+            raise UsageError(
+                f"recording {recording.name!r}: no signal {signal!r}; there are {', '.join(recording.signals)}"
+            )
+        p, length = np.asarray(recording.signals[signal]), round(segment_s / recording.sample_time)
+        if recording.sample_time != every[0].sample_time:
+            raise UsageError("recorded_disturbance: the recordings have different sample times")
+        if length < 8 or len(p) < length:
+            raise UsageError(f"recording {recording.name!r}: {len(p)} samples; segment_s = {segment_s} does not fit")
+        parts = {"fs": 1 / recording.sample_time, "nperseg": length}
+        f, S = csd(p.T[:, None], p.T[None], **parts)
+        found.append(np.moveaxis(S, -1, 0).transpose(0, 2, 1))
+    return DisturbanceSpectrum(f, np.mean(found, axis=0), signal)

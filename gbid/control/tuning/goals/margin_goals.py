@@ -1,0 +1,133 @@
+"""Goals on the classical margins of each loop: gain and phase."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import isfinite, radians
+
+import numpy as np
+
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.control.tuning.goals.goal import DesignContext, Wanted
+from gbid.control.tuning.search.loop_family import LoopFamily, Loops
+from gbid.control.tuning.search.measure import ExtraLimit
+from gbid.control.tuning.search.peaks import IntArray, respond
+from gbid.control.tuning.search.spectrum import Eigensystem
+from gbid.errors import UsageError
+
+_GRID = np.geomspace(1.0, 1e5, 400)
+_NONE = 1e-6
+"""Share of a margin that is used up where a loop has no crossing."""
+
+
+@dataclass(frozen=True)
+class MinGainMargin(Wanted):
+    """Factors on the gain of each loop alone that it must tolerate: from ``1 / factor`` to ``factor``.
+
+    Parameters
+    ----------
+    factor : float
+        Gain margin, above 1.
+    soft, weight
+        See `Wanted`; the quantity is the share ``log(factor) / log(gain margin)``.
+    """
+
+    factor: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (isfinite(self.factor) and self.factor > 1):
+            raise UsageError(f"MinGainMargin: factor = {self.factor}; give a number above 1")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        wanted = float(np.log(self.factor))
+
+        def used(L: ComplexArray) -> FloatArray:
+            tolerated = np.abs(np.log(np.maximum(np.abs(L), 1e-12)))
+            return np.where(L.real > 0, wanted / np.maximum(tolerated, 1e-9), _NONE)
+
+        return ExtraLimit("gain margin", _largest_share(lambda L: L.imag, used), 1 / self.weight)
+
+
+@dataclass(frozen=True)
+class MinPhaseMargin(Wanted):
+    """Phase of either sign that each loop alone must tolerate.
+
+    Parameters
+    ----------
+    degrees : float
+        Phase margin [degrees], between 0 and 180.
+    soft, weight
+        See `Wanted`; the quantity is the share ``degrees / phase margin``.
+    """
+
+    degrees: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 < self.degrees < 180:
+            raise UsageError(f"MinPhaseMargin: degrees = {self.degrees}; give a number between 0 and 180")
+
+    def measure(self, context: DesignContext) -> ExtraLimit:
+        """Return the measure of this goal."""
+        wanted = radians(self.degrees)
+
+        def used(L: ComplexArray) -> FloatArray:
+            return np.asarray(wanted / np.maximum(np.abs(np.angle(L)), 1e-9))
+
+        return ExtraLimit("phase margin", _largest_share(lambda L: np.abs(L) - 1, used), 1 / self.weight)
+
+
+def _largest_share(
+    crossing: Callable[[ComplexArray], FloatArray], used: Callable[[ComplexArray], FloatArray]
+) -> Callable[[LoopFamily, FloatArray], FloatArray]:
+    """Return the largest share of a margin that is used at a crossing, as a function of loops and gains."""
+
+    def largest(family: LoopFamily, gains: FloatArray) -> FloatArray:
+        loops = family.matrices(gains)
+        system = Eigensystem.of(loops.A)
+        found = np.full(len(family), _NONE)
+        for channel in range(family.n_outputs):
+            np.maximum(found, _share(family, loops, system, channel, crossing, used), out=found)
+        return found
+
+    return largest
+
+
+def _share(
+    family: LoopFamily,
+    loops: Loops,
+    system: Eigensystem,
+    channel: int,
+    crossing: Callable[[ComplexArray], FloatArray],
+    used: Callable[[ComplexArray], FloatArray],
+) -> FloatArray:
+    """Return the largest share of one channel, with crossings located by bisection (m,)."""
+    rows = slice(0, family.n_outputs)
+
+    def gain(which: IntArray, w: FloatArray) -> ComplexArray:
+        # opened at this channel, with the others closed: L = 1 - 1 / S_ii
+        return np.asarray(1 - 1 / respond(loops, system, rows, which, w)[..., channel, channel])
+
+    m = len(family)
+    own = np.sort(
+        np.concatenate([np.abs(system.values), np.abs(system.values.imag), np.tile(_GRID, (m, 1))], 1), axis=1
+    )
+    L = gain(np.arange(m), own)
+    value = crossing(L)
+    loop, k = np.nonzero(np.sign(value[:, 1:]) * np.sign(value[:, :-1]) < 0)
+    low, high, sign = own[loop, k], own[loop, k + 1], np.sign(value[loop, k])
+    for _ in range(45 if len(loop) else 0):
+        middle = (low + high) / 2
+        before = np.sign(crossing(gain(loop, middle[:, None])[:, 0])) == sign
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    found = np.full(m, _NONE)
+    if len(loop):
+        np.maximum.at(found, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
+    # at zero frequency the loop gain is real, which limits the gain as well
+    rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0]
+    real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
+    np.maximum(found, np.where(real, used(rest), _NONE), out=found)
+    return np.asarray(found)

@@ -1,0 +1,252 @@
+"""Goals as values: each against the analysis of the loop, its gradient against differences, and in a design."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control import (
+    DisturbanceSpectrum,
+    HalfSine,
+    MaxDamping,
+    MaxDecay,
+    MinDamping,
+    MinDiskMargin,
+    MinGainMargin,
+    MinPhaseMargin,
+    PeakComplementary,
+    PeakControl,
+    PeakSensitivity,
+    PiezoTravel,
+    RmsControl,
+    RmsPosition,
+    RollOff,
+    SlowestPole,
+    StaticAmplification,
+    controller_at,
+    disk_margin,
+    disk_margins_by_loop,
+    loop_margins,
+    recorded_disturbance,
+    sample_controller,
+    sample_plant,
+    sensitivities,
+    static_amplification,
+)
+from gbid.control.controllers.structures import controller_structure
+from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
+from gbid.control.tuning.plants.plants_of import DesignPlants, plants_of
+from gbid.control.tuning.plants.sampled_loops import Sampling
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.errors import UsageError
+
+MODEL = gbid.load_model("theisen2016")
+ONE = [(6.0, 0.0)]
+TWO = [(6.0, 0.0), (3.0, 6000.0)]
+BIQUAD = controller_structure("biquad")
+GAINS = np.array([0.7, 0.5, 0.8, 0.9, 0.1, -0.1, 0.15, 0.25, 0.7, 0.6])
+T = 2e-4
+
+
+def spectrum() -> DisturbanceSpectrum:
+    f = np.linspace(0.0, 1000.0, 2001)
+    size = 1e-14 * (1 + 40 * np.exp(-(((f - 50) / 2) ** 2)))
+    return DisturbanceSpectrum(f, size[:, None, None] * np.array([[1.0, 0.2], [0.2, 2.0]]))
+
+
+def problem_of(goal: Goal, sampled: bool = False) -> tuple[GainProblem, DesignPlants]:
+    sampling = Sampling(T, T) if sampled else None
+    design = plants_of(MODEL, BIQUAD, TWO, None, None, sampling, (None, None))
+    family = (design.sampled or design.continuous).family(design.points)
+    low, high = np.array([(p.lower, p.upper) for p in BIQUAD.parameters]).T
+    limits = limits_of([MaxDamping(), goal], DesignContext(design.plant))
+    return GainProblem((family,), limits, low, high, 500.0), design
+
+
+def excess(goal: Goal, sampled: bool = False) -> np.ndarray:
+    problem, _ = problem_of(goal, sampled)
+    family = problem.families[0]
+    return problem.limits.measures[0].excess(problem.state(family, family.matrices(GAINS), GAINS))
+
+
+def loops(sampled: bool = False) -> list[gbid.control.Sensitivities]:
+    found = []
+    for point in TWO:
+        K = controller_at(BIQUAD, dict(zip((p.name for p in BIQUAD.parameters), GAINS, strict=True)), *point)
+        G = MODEL.plant_at(*point)
+        if sampled:
+            G, K = sample_plant(gbid.control.exact_plant(MODEL, *point), T, T), sample_controller(K, T)
+        found.append(sensitivities(G, K))
+    return found
+
+
+GRID = np.concatenate([[0.0], np.geomspace(0.1, 2400, 60001)])
+
+
+def largest(loop: gbid.control.Sensitivities, which: str, bound: object = None) -> float:
+    sizes = np.linalg.norm(loop.response(which, GRID), 2, axis=(1, 2))
+    return float((sizes / (1.0 if bound is None else bound(GRID))).max())
+
+
+def rms(loop: gbid.control.Sensitivities, which: str) -> float:
+    d = spectrum()
+    M = loop.response(which, d.frequency_hz)
+    power = np.einsum("kij,kjl,kil->k", M, d.density, M.conj()).real
+    return float(np.sqrt((power * d.widths).sum()))
+
+
+def slope(hz: np.ndarray) -> np.ndarray:
+    return np.exp(np.interp(np.log(np.maximum(hz, 1e-9)), np.log([10.0, 100.0, 400.0]), np.log([0.9, 2.0, 1.2])))
+
+
+BREAKPOINTS = [(10.0, 0.9), (100.0, 2.0), (400.0, 1.2)]
+CASES = {
+    "T_o": (PeakComplementary(1.5), lambda q: np.log(largest(q, "complementary") / 1.5)),
+    "K S_o soft": (PeakControl(2.0, soft=True, weight=3.0), lambda q: np.log(3 * largest(q, "control") / 2.0)),
+    "breakpoints": (PeakSensitivity(BREAKPOINTS), lambda q: np.log(largest(q, "output", slope))),
+    "static": (StaticAmplification(2.0, soft=True), lambda q: np.log(static_amplification(q) / 2.0)),
+    "disk": (MinDiskMargin(0.5), lambda q: np.log(0.5 / disk_margin(q).alpha)),
+    "disk of x": (MinDiskMargin(0.6, channel=0), lambda q: np.log(0.6 / disk_margins_by_loop(q)[0].alpha)),
+    "disk of y": (MinDiskMargin(0.6, channel=1), lambda q: np.log(0.6 / disk_margins_by_loop(q)[1].alpha)),
+    "phase": (MinPhaseMargin(40.0), lambda q: np.log(40 / min(m.phase_deg for m in loop_margins(q)))),
+    "gain": (
+        MinGainMargin(1.7),
+        lambda q: np.log(np.log(1.7) / min(abs(np.log(g)) for m in loop_margins(q) for g in m.gain if g > 0)),
+    ),
+    "rms p": (RmsPosition(1e-6, spectrum()), lambda q: np.log(rms(q, "output") / 1e-6)),
+    "rms r": (RmsControl(1e-6, spectrum()), lambda q: np.log(rms(q, "control") / 1e-6)),
+}
+
+
+@pytest.mark.parametrize("sampled", [False, True], ids=["continuous", "sampled"])
+@pytest.mark.parametrize("case", CASES)
+def test_excess_is_that_of_the_analysis(case: str, sampled: bool) -> None:
+    goal, known = CASES[case]
+    tolerance = 5e-3 if case.startswith("rms") else 2e-4
+    np.testing.assert_allclose(excess(goal, sampled), [known(q) for q in loops(sampled)], atol=tolerance)
+
+
+def test_roll_off_limits_high_frequencies_only() -> None:
+    goal = RollOff(300.0, 0.4, slope_db=3.0)
+    bound = lambda f: np.where(f < 300, np.inf, 0.4 * (300 / np.maximum(f, 1)) ** 0.15)  # noqa: E731
+    expected = [np.log(largest(q, "control", bound)) for q in loops()]
+    np.testing.assert_allclose(excess(goal), expected, atol=1e-3)
+
+
+def test_a_transfer_function_is_a_limit() -> None:
+    a = 2 * np.pi * 80
+    lead = gbid.LinearModel([[-4 * a]], [[1.0]], [[-6 * a]], [[2.0]])  # 2 (s + a) / (s + 4 a)
+    gain = np.abs(2 * (2j * np.pi * GRID + a) / (2j * np.pi * GRID + 4 * a))
+    expected = [np.log(largest(q, "output", lambda f: gain)) for q in loops()]
+    np.testing.assert_allclose(excess(PeakSensitivity(lead)), expected, atol=2e-4)
+
+
+def test_modes_in_a_band() -> None:
+    every = [q.model("output").modes() for q in loops()]
+    expected = [0.5 - min(z for hz, z in modes if 80 <= hz <= 150) for modes in every]
+    np.testing.assert_allclose(excess(MinDamping(0.5, low_hz=80, high_hz=150)), expected, atol=1e-9)
+    rates = [min(2 * np.pi * hz * z for hz, z in modes if 80 <= hz <= 150) for modes in every]
+    np.testing.assert_allclose(excess(SlowestPole(100.0, low_hz=80, high_hz=150)), 1 - np.array(rates) / 100, atol=1e-9)
+
+
+@pytest.mark.parametrize("sampled", [False, True], ids=["continuous", "sampled"])
+@pytest.mark.parametrize(
+    "goal",
+    [goal for goal, _ in CASES.values()]
+    + [MinDamping(0.3, low_hz=50, soft=True), SlowestPole(90.0, low_hz=1.0), PiezoTravel(HalfSine(peak_n=20.0))],
+    ids=[*CASES, "damping", "decay", "travel"],
+)
+def test_gradients_are_those_of_differences(goal: Goal, sampled: bool) -> None:
+    problem, _ = problem_of(goal, sampled)
+    family, measure = problem.families[0], problem.limits.measures[0]
+    state = problem.state(family, family.derivatives(GAINS), GAINS)
+    loop, value, gradient, _ = measure.pieces(state, np.inf)
+    assert [value[loop == i].max() for i in range(2)] == pytest.approx(measure.excess(state).tolist(), abs=1e-9)
+    which = int(np.argmax(value))
+    for i in range(len(GAINS)):
+        ends = []
+        for step in (1e-5, -1e-5):
+            x = GAINS + step * np.eye(len(GAINS))[i]
+            ends.append(measure.excess(problem.state(family, family.matrices(x), x))[loop[which]])
+        assert gradient[which, i] == pytest.approx((ends[0] - ends[1]) / 2e-5, rel=2e-3, abs=2e-4)
+
+
+def test_short_form_and_values_are_the_same_design() -> None:
+    short = gbid.tune(MODEL, operating_points=ONE, peak_sensitivity=2.0, slowest_pole=50.0)
+    values = gbid.tune(MODEL, "P", operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(2.0), SlowestPole(50.0)])
+    assert dict(values.gains) == dict(short.gains)
+    assert values.value == short.value
+
+
+def test_limits_hold_at_their_edge() -> None:
+    free = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(2.6)])
+    goals = [MaxDamping(), PeakSensitivity(2.6), MinDiskMargin(0.9), PeakControl([(50.0, 5.0), (200.0, 1.2)])]
+    bound = gbid.tune(MODEL, operating_points=ONE, goals=goals)
+    assert bound.success
+    assert bound.value < free.value - 1e-3
+    loop = sensitivities(MODEL.plant_at(6, 0), controller_at(bound.controller, bound.gains, 6, 0))
+    assert disk_margin(loop).alpha > 0.9 * (1 - 1e-5)
+    figures = {figure.name: figure for figure in bound.goals}
+    assert figures["disk margin"].excess == pytest.approx(np.log(0.9 / disk_margin(loop).alpha), abs=1e-4)
+    assert max(figure.excess for figure in bound.goals) == pytest.approx(0.0, abs=1e-4)
+    assert all(figure.where == "6 bar, 0 rpm" for figure in bound.goals)
+
+
+def test_objectives_other_than_damping() -> None:
+    best = gbid.tune(MODEL, operating_points=ONE, goals=[PeakSensitivity(1.0, soft=True), MinDamping(0.2)])
+    assert best.objective == "goals"
+    assert best.success
+    assert best.worst.damping == pytest.approx(0.2, abs=1e-4)  # the least damping that is allowed costs the lowest peak
+    more = gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping(), PeakSensitivity(float(best.peak_sensitivity))])
+    assert more.value == pytest.approx(0.2, abs=2e-3)  # the same point of the front, from the other side
+    assert best.value == pytest.approx(-np.log(best.peak_sensitivity), abs=1e-6)
+
+
+def test_soft_goals_share_by_their_weights() -> None:
+    def both(weight: float) -> gbid.GainResult:
+        goals = [MaxDamping(), PeakSensitivity(2.0, soft=True, weight=weight), SlowestPole(0.0)]
+        return gbid.tune(MODEL, operating_points=ONE, goals=goals)
+
+    lax, strict = both(1.0), both(1.2)
+    assert strict.peak_sensitivity < lax.peak_sensitivity - 0.01
+    assert strict.value < lax.value
+    assert lax.value == pytest.approx(lax.worst.damping)
+    assert -lax.goals[0].excess == pytest.approx(lax.value, abs=1e-4)  # both objectives are equally good
+
+
+def test_disturbance_of_a_recording() -> None:
+    rng = np.random.default_rng(1)
+    n, dt = 40000, 2e-4
+    noise = 1e-6 * rng.standard_normal((n, 2)) @ np.array([[1.0, 0.5], [0.0, 0.8]])
+    line = 2e-6 * np.sin(2 * np.pi * 50 * dt * np.arange(n))
+    recording = gbid.Recording({"p": noise + line[:, None]}, dt)
+    found = recorded_disturbance(recording)
+    np.testing.assert_allclose(found.rms, recording.signals["p"].std(axis=0), rtol=0.02)
+    np.testing.assert_allclose(found.density, found.density.conj().transpose(0, 2, 1), atol=1e-30)
+
+
+@pytest.mark.parametrize(
+    ("goals", "message"),
+    [
+        (lambda: [PeakSensitivity(2.0)], "none of them is an objective"),
+        (lambda: [MaxDamping(), 2.0], "is no goal"),
+        (lambda: [MaxDamping(), MaxDecay()], "exclude each other"),
+        (lambda: [MaxDamping(), PeakSensitivity(-1.0)], "positive number"),
+        (lambda: [MaxDamping(), PeakSensitivity([(10.0, 1.0), (5.0, 2.0)])], "rising frequencies"),
+        (lambda: [MaxDamping(), PeakControl(2.0, weight=3.0)], "give soft=True"),
+        (lambda: [MaxDamping(), MinDiskMargin(2.5)], "between 0 and 2"),
+        (lambda: [MaxDamping(), MinDiskMargin(0.5, channel=2)], "there are 2"),
+        (lambda: [MaxDamping(), MinPhaseMargin(200.0)], "between 0 and 180"),
+        (lambda: [MaxDamping(), MinGainMargin(0.5)], "above 1"),
+        (lambda: [MaxDamping(low_hz=50, high_hz=10)], "low < high"),
+    ],
+)
+def test_goals_that_make_no_sense_are_refused(goals: object, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        gbid.tune(MODEL, operating_points=ONE, goals=goals())
+
+
+def test_both_forms_at_once_are_refused() -> None:
+    with pytest.raises(UsageError, match="peak_control beside goals"):
+        gbid.tune(MODEL, operating_points=ONE, goals=[MaxDamping()], peak_control=2.0)
