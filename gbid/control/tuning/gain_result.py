@@ -19,7 +19,9 @@ class GainStatus(StrEnum):
     """Why a search for gains ended."""
 
     OPTIMAL = "optimal"
-    """No step improved any more, and all limits hold."""
+    """All limits hold, and the design has a certificate of first-order optimality."""
+    STALLED = "stalled"
+    """All limits hold, and no method improved the design any more, but it has no certificate."""
     ITERATION_LIMIT = "iteration limit"
     LIMITS_CONTRADICT = "limits contradict"
     """Stable, but no design keeps all limits."""
@@ -109,6 +111,14 @@ class GainResult:
         What was reached of goals other than damping, decay, and the three figures above.
     controller : Structure or Scheduled, optional
         Structure of the gains.
+    certificate_gain : float, optional
+        Certificate of optimality: share of its value by which the objective would rise to first order if the gains
+        changed by their own size, the length of the shortest convex combination of gradients. ``OPTIMAL`` needs at most
+        0.002. None when the design was not certified.
+    certificate_radius : float, optional
+        Radius of the ball from which the gradients were taken, in sizes of the gains; 0: from the design itself.
+    certificate_room : float, optional
+        Share of its value by which the objective could still rise within the ball. ``OPTIMAL`` needs at most 0.005.
     """
 
     gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]
@@ -128,14 +138,17 @@ class GainResult:
     points: Points = field(default=(), repr=False)
     goals: tuple[GoalFigure, ...] = ()
     controller: Annotated[Any, NOT_STORED] = field(default=None, repr=False)
+    certificate_gain: float | None = None
+    certificate_radius: float | None = None
+    certificate_room: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "gains", MappingProxyType(dict(self.gains)))
 
     @property
     def success(self) -> bool:
-        """Whether the status is ``OPTIMAL``."""
-        return self.status is GainStatus.OPTIMAL
+        """Whether the design is stable and keeps all limits, and the search ended by itself."""
+        return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED)
 
     def __repr__(self) -> str:
         known = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -10,15 +11,29 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.gain_result import GainResult, GainStatus
-from gbid.control.tuning.search.global_search import FEASIBLE, Effort, Progress, SearchOutcome, search
+from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
+from gbid.control.tuning.search.global_search import (
+    FEASIBLE,
+    Effort,
+    Progress,
+    SearchOutcome,
+    better,
+    certificate_units,
+    search,
+)
 from gbid.control.tuning.search.limits import Limits, Objective
 from gbid.control.tuning.search.loop_family import families_of
+from gbid.control.tuning.search.nonsmooth.certificate import Certificate, certify
 from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.spectrum import eigenvalues
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.search.starts.units import gain_units
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
+
+_MOST_ROUNDS = 5
+"""Largest number of certificates, each after a better design that the one before had found."""
 
 
 def maximise_damping(
@@ -91,7 +106,7 @@ def maximise_damping(
     >>> round(result.gains["g"], 6), round(result.value, 6)
     (1.0, 0.5)
     """
-    functions = [A_of_gains] if isinstance(A_of_gains, ca.Function) else list(A_of_gains)
+    functions = [A_of_gains] if isinstance(A_of_gains, ca.Function) else _listed(A_of_gains)
     names = (gains,) if isinstance(gains, str) else tuple(gains)
     if not functions or not names:
         raise UsageError("maximise_damping: give at least one function and one gain")
@@ -104,6 +119,15 @@ def maximise_damping(
     optimum, history = solve(problem, neutral, Effort(starts, seed), given, progress)
     count = sum(len(family) for family in families)
     return summarise(problem, optimum, names, history, f"eigenvalues of the {count} closed-loop matrices")
+
+
+def _listed(functions: Any) -> list[Any]:
+    if not isinstance(functions, Iterable) or isinstance(functions, str):
+        kind = type(functions).__name__
+        raise UsageError(
+            f"A_of_gains is a {kind}; give a casadi.Function from the gains to the matrix, or a list of these"
+        )
+    return list(functions)
 
 
 def solve(
@@ -130,7 +154,27 @@ def solve(
         history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
         if progress is not None:
             progress(history[-1])
+    best = certified(problem, best)
+    history.append(
+        SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
+    )
+    if progress is not None:
+        progress(history[-1])
     return best, tuple(history)
+
+
+def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
+    """Return a design with its certificate; where the certificate finds a better one near it, that one."""
+    unit = gain_units(problem, found.x)
+    for _ in range(_MOST_ROUNDS):
+        certificate, x = certify(problem, found.x, certificate_units(unit, found.x))
+        if certificate.holds or x is found.x:
+            break
+        moved = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
+        if not better(moved.score, found.score) or add_cuts(problem, moved.x):
+            break
+        found = moved
+    return replace(found, certificate=certificate)
 
 
 def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
@@ -161,14 +205,19 @@ def summarise(
     x = np.clip(found.x, problem.lower, problem.upper)
     score, stable = problem.score(x), problem.stable(x)
     worst = worst_mode(problem, x)
-    status = GainStatus.OPTIMAL if found.converged else GainStatus.ITERATION_LIMIT
+    certificate = found.certificate
+    status = GainStatus.OPTIMAL if certificate is not None and certificate.holds else GainStatus.STALLED
+    if not found.converged:
+        status = GainStatus.ITERATION_LIMIT
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
-        notes = (*notes, f"no gains within the bounds were found that stabilise {worst.where}: " + _mode(worst))
+        notes = (*notes, f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}")
     elif score.violation > FEASIBLE:
         status = GainStatus.LIMITS_CONTRADICT
         notes = (*notes, f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}")
-    more = {**_peaks(problem, x, stable), **more}
+    if status is GainStatus.STALLED and certificate is not None:
+        notes = (*notes, _stalled(certificate))
+    more = {**_peaks(problem, x, stable), **_certificate(certificate), **more}
     return GainResult(
         dict(zip(names, map(float, x), strict=True)),
         problem.in_units(score.value),
@@ -184,7 +233,27 @@ def summarise(
     )
 
 
-def _mode(worst: Any) -> str:
+def _stalled(certificate: Certificate) -> str:
+    return (
+        "no certificate of optimality: to first order the objective would rise by "
+        f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
+        "steps to meeting eigenvalues, BFGS, random moves and gradients from balls around it found no better one"
+    )
+
+
+def _certificate(found: Certificate | None) -> dict[str, float]:
+    if found is None or not np.isfinite(found.gain):
+        return {}
+    return {
+        "certificate_gain": found.gain,
+        "certificate_radius": found.radius,
+        "certificate_room": found.room,
+    }
+
+
+def _mode(worst: WorstMode) -> str:
+    if np.isnan(worst.frequency_hz):
+        return "its matrix is not finite"
     return f"its worst mode has {worst.frequency_hz:.4g} Hz and damping {worst.damping:.4g}"
 
 
@@ -226,7 +295,7 @@ _TITLES = {
 
 def typical_rate(families: Sequence[Any], x: FloatArray) -> float:
     """Return the geometric mean of the magnitudes of the eigenvalues, which is the unit of rates."""
-    sizes = np.concatenate([np.abs(np.linalg.eigvals(family.states(x))).ravel() for family in families])
+    sizes = np.concatenate([np.abs(eigenvalues(family.states(x))).ravel() for family in families])
     if not np.isfinite(sizes).all():
         raise UsageError("the closed-loop matrix is not finite at the start; check the function and its bounds")
     sizes = sizes[sizes > 1e-9 * sizes.max()] if sizes.any() else np.ones(1)

@@ -13,7 +13,7 @@ from gbid.control.tuning.gain_result import WorstMode
 from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.control.tuning.search.plane import true_rates
 from gbid.control.tuning.search.problem import GainProblem, rows_of
-from gbid.control.tuning.search.spectrum import damping_factors
+from gbid.control.tuning.search.spectrum import damping_factors, eigenvalues
 from gbid.structure import LinearModel
 
 
@@ -45,10 +45,11 @@ def worst_mode(problem: GainProblem, x: FloatArray) -> WorstMode:
     """Return the mode that limits a design: an unstable pole, otherwise that of smallest damping or slowest decay."""
     worst: tuple[float, str, complex] | None = None
     for family in problem.families:
-        values = true_rates(np.linalg.eigvals(family.states(x)).astype(complex), family.sample_time)
+        values = true_rates(eigenvalues(family.states(x)), family.sample_time)
         aim = problem.aim(values, family.sample_time) if problem.limits.weight else damping_factors(values)
         # a pole that grows is worse than any that does not
         rank = np.where(values.real > 0, -2.0 - values.real / problem.scale, aim)
+        rank = np.where(np.isnan(values), -np.inf, rank)
         i, j = np.unravel_index(rank.argmin(), rank.shape)
         if worst is None or rank[i, j] < worst[0]:
             worst = (float(rank[i, j]), family.labels[i], complex(values[i, j]))

@@ -6,11 +6,15 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.search.problem import GainProblem, Score
-from gbid.control.tuning.search.sqp import LocalOptimum, merit, optimise_locally
+from gbid.control.tuning.search.nonsmooth.active import Score, merit
+from gbid.control.tuning.search.nonsmooth.certificate import certify
+from gbid.control.tuning.search.nonsmooth.quasi_newton import ascend
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.search.starts.draws import grid_starts, random_starts
+from gbid.control.tuning.search.starts.units import gain_units
 from gbid.control.tuning.search.step import SearchStep
 
 Progress = Callable[[SearchStep], None]
@@ -18,8 +22,12 @@ PENALTY = 10.0
 _GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
 _HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
+_FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
+"""Sizes of random moves without limits on responses, in units or shares of the gains."""
 _HOPPED = 3
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
+_AGREE = 1e-5
+"""Relative difference of local optima that count as one."""
 FEASIBLE = 1e-6
 """Largest relative violation of a limit that is tolerated."""
 
@@ -100,38 +108,115 @@ def search(
 
     d = len(neutral)
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
+    climber = Climber(problem, gain_units(problem, given[0]))
     if d in _GRID and effort.starts is None:
-        candidates = given + _basins(problem, _GRID[d], 2 * effort.finalists)
-        rough = [optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in candidates]
+        grid = grid_starts(problem, given[0], climber.unit, _GRID[d], 2 * effort.finalists)
+        rough = [
+            optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in (*given, *grid)
+        ]
         note("global", _best(rough).score)
     else:
-        draws = _draws(problem, neutral, effort)
+        n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
         rough = []
-        for start in (*given, *draws):
-            rough.append(optimise_locally(problem, start, max_iterations=40, curvature=d <= 3, tolerance=1e-5))
+        for start in (*given, *random_starts(problem, given[0], climber.unit, n, effort.seed)):
+            rough.append(climber.rough(start))
             note("global", _best(rough).score)
     rough.sort(key=lambda found: merit(found.score, PENALTY), reverse=True)
     finals: list[LocalOptimum] = []
     for start in rough[: effort.finalists]:
         if any(np.allclose(start.x, other.x, rtol=0, atol=1e-6) for other in finals):
             continue
-        finals.append(optimise_locally(problem, start.x, max_iterations=300))
+        finals.append(climber.full(start.x))
         note("local", _best(finals).score)
     best = _best(finals)
-    if d not in _GRID and effort.hops:
+    if d not in _GRID and effort.hops and not _settled(problem, climber, finals):
         rng = np.random.default_rng(effort.seed)
         hopped = []
         for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]:
-            hopped.append(_hop_basins(problem, start, rng, effort.hops, len(_HOP_SIZES), note))
-        best = _hop_basins(problem, _best(hopped), rng, effort.hops, 2 * len(_HOP_SIZES), note)
+            hopped.append(_hop_basins(climber, start, rng, effort.hops, len(climber.hop_sizes), note))
+        best = _hop_basins(climber, _best(hopped), rng, effort.hops, 2 * len(climber.hop_sizes), note)
     if not best.converged:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
     return SearchOutcome(best, tuple(history))
 
 
+@dataclass(frozen=True, eq=False)
+class Climber:
+    """Local optimisation of a problem: steps over all active functions, and BFGS where nothing but damping counts.
+
+    Limits make a ridge of every design on them, along which BFGS is slow. Without limits it is the faster one: its
+    evaluations need one gradient only.
+    """
+
+    problem: GainProblem
+    unit: FloatArray
+
+    @property
+    def free(self) -> bool:
+        """Whether only eigenvalues count."""
+        limits = self.problem.limits
+        return not (limits.has_responses or limits.measures or self.problem.linear)
+
+    @property
+    def hop_sizes(self) -> tuple[float, ...]:
+        """Sizes of random moves."""
+        return _FREE_HOPS if self.free else _HOP_SIZES
+
+    def rough(self, start: FloatArray) -> LocalOptimum:
+        """Return a design near a start that is better, with few evaluations."""
+        if self.free:
+            return self._ascent(start, 100 + 20 * len(start))
+        curvature = len(start) <= 3
+        return optimise_locally(self.problem, start, max_iterations=40, curvature=curvature, tolerance=1e-5)
+
+    def full(self, start: FloatArray) -> LocalOptimum:
+        """Return a local optimum."""
+        if self.free:
+            start = self._ascent(start, 200 + 60 * len(start)).x
+        return optimise_locally(self.problem, start, max_iterations=300)
+
+    def hop(self, x: FloatArray, size: float, rng: np.random.Generator) -> LocalOptimum:
+        """Return the local optimum after a random move of some size."""
+        step = size * rng.standard_normal(len(x))
+        if not self.free:
+            moved = x + step * (self.problem.upper - self.problem.lower)
+            return optimise_locally(self.problem, moved, max_iterations=120, radius=0.02)
+        found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
+        return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
+
+    def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
+        problem = self.problem
+        x = np.clip(start, problem.lower, problem.upper)
+        found = ascend(
+            lambda y: problem.merit_and_slope(y, PENALTY),
+            x,
+            problem.lower,
+            problem.upper,
+            self.unit,
+            max_evaluations=most,
+        )
+        return LocalOptimum(found.x, problem.score(found.x), found.evaluations, True)
+
+
+def _settled(problem: GainProblem, climber: Climber, finals: list[LocalOptimum]) -> bool:
+    """Return whether three of the best designs have the same value and the best one is certified."""
+    best = _best(finals)
+    close = [
+        one
+        for one in finals
+        if abs(one.score.value - best.score.value) <= _AGREE * abs(best.score.value) and one.score.violation <= FEASIBLE
+    ]
+    return len(close) > 2 and certify(problem, best.x, certificate_units(climber.unit, best.x))[0].holds
+
+
+def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the units of a certificate: a gain's own magnitude, or its unit where it is small."""
+    return np.maximum(unit, np.abs(x))
+
+
 def _hop_basins(
-    problem: GainProblem,
+    climber: Climber,
     best: LocalOptimum,
     rng: np.random.Generator,
     most: int,
@@ -143,9 +228,7 @@ def _hop_basins(
     for i in range(most):
         if vain == in_vain:
             break
-        size = _HOP_SIZES[i % len(_HOP_SIZES)]
-        moved = best.x + size * rng.standard_normal(len(best.x)) * (problem.upper - problem.lower)
-        again = optimise_locally(problem, moved, max_iterations=120, radius=0.02)
+        again = climber.hop(best.x, climber.hop_sizes[i % len(climber.hop_sizes)], rng)
         vain = 0 if better(again.score, best.score) else vain + 1
         best = best if vain else again
         note("basin hopping", best.score)
@@ -174,50 +257,3 @@ def _best(found: list[LocalOptimum]) -> LocalOptimum:
     for one in found[1:]:
         best = one if better(one.score, best.score) else best
     return best
-
-
-def _basins(problem: GainProblem, n: int, most: int) -> list[FloatArray]:
-    """Return the best points of a grid that are not neighbours, best first.
-
-    They are more than the local maxima of the grid, because along a limit the grid would miss optima. The objective
-    without its limits is an upper bound of the merit and cheap. So peaks are computed only where this bound is high
-    enough.
-    """
-    d = len(problem.lower)
-    axes = [np.linspace(low, high, n) for low, high in zip(problem.lower, problem.upper, strict=True)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
-    aims = np.array([problem.aim_bound(x) for x in grid])
-    merits = np.full(len(grid), -np.inf)
-    best = -np.inf
-    for i in np.argsort(-aims, kind="stable"):
-        if aims[i] <= best - 0.1:
-            break
-        merits[i] = merit(problem.score(grid[i]), PENALTY)
-        best = max(best, merits[i])
-    chosen: list[FloatArray] = []
-    cell = (problem.upper - problem.lower) / (n - 1)
-    for i in np.argsort(-merits, kind="stable"):
-        if len(chosen) == most or not np.isfinite(merits[i]):
-            break
-        if all(np.abs((grid[i] - other) / cell).max() > 1.5 for other in chosen):
-            chosen.append(grid[i])
-    return chosen
-
-
-def _draws(problem: GainProblem, neutral: FloatArray, effort: Effort) -> list[FloatArray]:
-    """Return random starts, each moved towards the neutral gains until its loops are stable."""
-    d = len(neutral)
-    n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
-    unit = qmc.Sobol(d, seed=np.random.default_rng(effort.seed)).random(1 << max(n - 1, 1).bit_length())[:n]
-    starts = []
-    for u in unit:
-        # with positive bounds over more than a decade, starts have a logarithmic distribution
-        decades = (problem.lower > 0) & (problem.upper > 10 * problem.lower)
-        low, high = np.where(decades, problem.lower, 1.0), np.where(decades, problem.upper, 1.0)
-        x = np.where(decades, low * (high / low) ** u, problem.lower + u * (problem.upper - problem.lower))
-        for share in (1.0, 0.5, 0.25, 0.12, 0.06, 0.03):
-            start = neutral + np.where(decades, 1.0, share) * (x - neutral)
-            if problem.stable(start):
-                break
-        starts.append(start)
-    return starts

@@ -31,6 +31,11 @@ class Loops:
     C: FloatArray
     D: FloatArray
 
+    @property
+    def finite(self) -> bool:
+        """Whether B, C and D are finite."""
+        return all(np.isfinite(M).all() for M in (self.B, self.C, self.D))
+
 
 @dataclass(frozen=True)
 class Derivatives(Loops):

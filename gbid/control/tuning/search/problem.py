@@ -18,44 +18,16 @@ from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.search.measure import LoopState
+from gbid.control.tuning.search.nonsmooth.active import UNUSABLE, ActiveFunction, ActiveFunctions, Score, merit
+from gbid.control.tuning.search.nonsmooth.cluster import Cluster, cluster_of
 from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes, respond
 from gbid.control.tuning.search.plane import rate_slopes, true_rates
-from gbid.control.tuning.search.spectrum import Eigensystem, Pair, damping_factors, damping_slopes, pair_of
+from gbid.control.tuning.search.spectrum import Eigensystem, damping_factors, damping_slopes, eigenvalues
 from gbid.poles import REAL
 
 _RESPONSES = ("sensitivity", "control", "static")
-_WINDOW = 0.3
+WINDOW = 0.3
 """Largest distance of an active function from the worst one (in damping, or in the logarithm of a limited gain)."""
-
-
-@dataclass(frozen=True)
-class Score:
-    """Quality of a design: the objective, and the largest relative violation of a limit (0 when all limits hold)."""
-
-    value: float
-    violation: float
-
-
-@dataclass(frozen=True)
-class ActiveFunction:
-    """Smooth function near the worst one: name (kind, family, loop), value, gradient, place in the complex plane."""
-
-    kind: str
-    family: int
-    loop: int
-    value: float
-    slope: FloatArray
-    place: complex
-
-
-@dataclass(frozen=True)
-class ActiveFunctions:
-    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, with close pairs."""
-
-    score: Score
-    aim: tuple[ActiveFunction, ...]
-    limits: tuple[ActiveFunction, ...]
-    pairs: tuple[tuple[ActiveFunction, Pair], ...] = ()
 
 
 @dataclass(eq=False)
@@ -98,21 +70,28 @@ class GainProblem:
         value, violation = np.inf, 0.0
         every = [family.matrices(x) for family in self.families]
         for family, loops in zip(self.families, every, strict=True):
-            values = true_rates(np.linalg.eigvals(loops.A).astype(complex), family.sample_time)
+            values = true_rates(eigenvalues(loops.A), family.sample_time)
+            if np.isnan(values).any():
+                return UNUSABLE
             value = min(value, float(self.aim(values, family.sample_time).min()))
             violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
         if value < worst:
             return Score(value, max(violation, 0.0))
+        if self._uses_responses and not all(loops.finite for loops in every):
+            return UNUSABLE
         for _, _, peaks, limit in self._responses(every):
-            if len(peaks.value):
-                violation = max(violation, float(np.log(peaks.value.max() / limit)))
+            violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
         if self.limits.measures:
             states = [self.state(*pair, x) for pair in zip(self.families, every, strict=True)]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
             value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
-        return Score(value, max(violation, 0.0))
+        return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
+
+    @property
+    def _uses_responses(self) -> bool:
+        return self.limits.has_responses or bool(self.limits.measures)
 
     def state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
         """Return the loops of a family for given gains, as measures take them."""
@@ -124,14 +103,17 @@ class GainProblem:
         """Return an upper bound of the merit of a design: objective minus penalty of the slowest pole."""
         value, slow = np.inf, -np.inf
         for family in self.families:
-            values = true_rates(np.linalg.eigvals(family.states(x)).astype(complex), family.sample_time)
+            values = true_rates(eigenvalues(family.states(x)), family.sample_time)
+            if np.isnan(values).any():
+                return -np.inf
             worst = float(self.aim(values, family.sample_time).min())
             value, slow = min(value, worst), max(slow, float(values.real.max()))
         return value - 10.0 * max(0.0, (self.slowest + slow) / self.scale)
 
     def stable(self, x: FloatArray) -> bool:
         """Return whether all loops are stable."""
-        return all(bool((np.linalg.eigvals(family.states(x)).real < 0).all()) for family in self.families)
+        # NaN is not below zero
+        return all(bool((eigenvalues(family.states(x)).real < 0).all()) for family in self.families)
 
     def aim(self, rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
         """Return the objective of each mode from its rate: damping factor, or decay in units of the scale."""
@@ -146,14 +128,19 @@ class GainProblem:
         unit = 1.0 if self.limits.objective == "damping" or not self.limits.weight else self.scale
         return aim * unit / (self.limits.weight or 1.0)
 
-    def functions(self, x: FloatArray) -> ActiveFunctions:
-        """Return all functions near the worst one at a design, with gradients."""
+    def functions(self, x: FloatArray, window: float = WINDOW) -> ActiveFunctions:
+        """Return all functions within a window of the worst one at a design, with gradients.
+
+        A window of zero leaves the worst one of the objective and the limits that do not hold.
+        """
         self.evaluations += 1
         aims: list[ActiveFunction] = []
         limits: list[ActiveFunction] = []
-        pairs: list[tuple[ActiveFunction, Pair]] = []
         slopes_by = [family.derivatives(x) for family in self.families]
         systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
+        unfit = self._uses_responses and not all(loops.finite for loops in slopes_by)
+        if unfit or any(np.isnan(system.values).any() for system in systems):
+            return ActiveFunctions(UNUSABLE, (), ())
         rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
         values = [self.aim(r, family.sample_time) for r, family in zip(rates, self.families, strict=True)]
         states = [self.state(*args) for args in zip(self.families, slopes_by, [x] * len(systems), systems, strict=True)]
@@ -162,13 +149,12 @@ class GainProblem:
         for f, (derivatives, system, aim) in enumerate(zip(slopes_by, systems, values, strict=True)):
             upper = system.values.imag >= -REAL * np.abs(system.values)  # of conjugates one is enough
             top = self.limits.weight if self.limits.objective == "damping" else np.inf
-            near = (aim < worst + _WINDOW) & upper & (aim < top)
+            near = (aim <= worst + window) & upper & (aim < top)
             aims += self._of_eigenvalues("aim", f, system, derivatives, near)
             slow = (self.slowest + rates[f].real) / self.scale
-            limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -_WINDOW) & upper)
-            pairs += self._pairs(f, system, derivatives, near)
+            limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -window) & upper)
         for kind, f, peaks, limit in self._responses(slopes_by, systems):
-            keep = np.flatnonzero(np.log(peaks.value / limit) > -_WINDOW)
+            keep = np.flatnonzero(peaks.value > limit * np.exp(-window))
             chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
             slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
             for loop, w, value, slope in zip(chosen.loop, chosen.frequency, chosen.value, slopes, strict=True):
@@ -176,17 +162,32 @@ class GainProblem:
                     ActiveFunction(kind, f, int(loop), float(np.log(value / limit)), slope / value, complex(0, w))
                 )
         for name, row, limit in self.linear:
-            if (excess := float(row @ x - limit)) > -_WINDOW:
+            if (excess := float(row @ x - limit)) > -window:
                 limits.append(ActiveFunction(name, 0, 0, excess, row, 0j))
         for extra in self.limits.extra:
             for f, state in enumerate(states):
-                found = zip(*extra.pieces(state, _WINDOW), strict=True)
+                found = zip(*extra.pieces(state, window), strict=True)
                 limits += [ActiveFunction(extra.name, f, int(i), float(v), g, complex(p)) for i, v, g, p in found]
         for soft, f, state, _ in softs:
-            found = zip(*soft.pieces(state, worst + _WINDOW), strict=True)
+            found = zip(*soft.pieces(state, worst + window + 1e-12), strict=True)
             aims += [ActiveFunction(soft.name, f, int(i), -float(v), -g, complex(p)) for i, v, g, p in found]
         violation = max([0.0, *(piece.value for piece in limits)])
-        return ActiveFunctions(Score(worst, violation), tuple(aims), tuple(limits), tuple(pairs))
+        if not np.isfinite(violation):
+            return ActiveFunctions(UNUSABLE, (), ())
+        sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
+        return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]))
+
+    def merit_and_slope(self, x: FloatArray, penalty: float) -> tuple[float, FloatArray]:
+        """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
+        found = self.functions(x, 0.0)
+        slope = np.zeros_like(x)
+        if not found.score.usable:
+            return -np.inf, slope
+        if found.aim:
+            slope = slope + min(found.aim, key=lambda piece: piece.value).slope
+        if found.score.violation > 0 and found.limits:
+            slope = slope - penalty * max(found.limits, key=lambda piece: piece.value).slope
+        return merit(found.score, penalty), slope
 
     def _of_eigenvalues(
         self, kind: str, f: int, system: Eigensystem, derivatives: Derivatives, chosen: BoolArray
@@ -211,35 +212,20 @@ class GainProblem:
             return weight * damping_factors(rates, T), weight * damping_slopes(rates, slopes, T)
         return -weight * rates.real / self.scale, -weight * slopes.real / self.scale
 
-    def _pairs(
-        self, f: int, system: Eigensystem, derivatives: Derivatives, near: BoolArray
-    ) -> list[tuple[ActiveFunction, Pair]]:
-        """Return pairs of eigenvalues that are about to meet, with their mean as a smooth function."""
-        found = []
-        for i in np.flatnonzero(near.sum(axis=1) > 1):
-            which = np.flatnonzero(near[i])
-            candidates = system.values[i, which]
-            distance = np.abs(candidates[:, None] - candidates) + np.diag(np.full(len(candidates), np.inf))
-            a, b = np.unravel_index(distance.argmin(), distance.shape)
-            if distance[a, b] > 0.15 * abs(candidates[a] + candidates[b]):
-                continue
-            pair = pair_of(system, derivatives.dA[i], int(i), int(which[a]), int(which[b]))
-            if pair is not None:
-                value, gradient = self._mean_of(f, pair)
-                found.append((ActiveFunction("pair", f, int(i), value, gradient, pair.mean), pair))
-        return found
-
-    def _mean_of(self, f: int, pair: Pair) -> tuple[float, FloatArray]:
-        """Return the objective of the mean of a pair, and its gradient."""
-        numbers, gradients = self._of_values("aim", f, np.array([pair.mean]), pair.mean_slope[None])
+    def mean_of(self, f: int, cluster: Cluster) -> tuple[float, FloatArray]:
+        """Return the objective of the mean of a cluster of eigenvalues of a family, and its gradient."""
+        numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
         return float(numbers[0]), gradients[0]
 
-    def pair_near(self, x: FloatArray, family: int, loop: int, place: complex) -> Pair | None:
-        """Return the two eigenvalues of a loop nearest to a place in the complex plane, as a pair."""
-        derivatives = self.families[family].derivatives(x)
-        system = Eigensystem.of(derivatives.A[[loop]])
-        first, second = np.argsort(np.abs(system.values[0] - place))[:2]
-        return pair_of(system, derivatives.dA[loop], 0, int(first), int(second))
+    def cluster_near(self, x: FloatArray, family: int, loop: int, place: complex, size: int) -> Cluster | None:
+        """Return the eigenvalues of a loop nearest to a place in the complex plane, as a cluster."""
+        return self._cluster(self.families[family].derivatives(x), loop, place, size)
+
+    def _cluster(self, loops: Derivatives, loop: int, place: complex, size: int) -> Cluster | None:
+        A, dA = loops.A[loop], loops.dA[loop]
+        if np.isnan(eigenvalues(A[None])).any() or not np.isfinite(dA).all():
+            return None
+        return cluster_of(A, dA, place, size, max(abs(place), 0.01 * self.scale))
 
     def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
         """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
@@ -254,7 +240,7 @@ class GainProblem:
             used = np.unique([functions[i].loop for i in own])
             parts = [family.derivatives(x).of(used) for x in designs]
             loops = Derivatives.joined(parts)
-            spectral = any(functions[i].kind in ("aim", "pole", "pair") for i in own)
+            spectral = any(functions[i].kind in ("aim", "pole") for i in own)
             system = Eigensystem.of(loops.A) if spectral else None
             for i in own:
                 # the loop of this piece in each design
@@ -280,15 +266,15 @@ class GainProblem:
             peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
             slopes, values = peak_slopes(loops, rows_of(self.families[f], piece.kind), peaks)
             return np.asarray(slopes / values[:, None])
-        if system is None or piece.kind not in ("aim", "pole", "pair"):
+        if piece.kind == "cluster":
+            for row, loop in enumerate(which):
+                cluster = self._cluster(loops, int(loop), piece.place, piece.size)
+                if cluster is not None:
+                    nothing[row] = self.mean_of(f, cluster)[1]
+            return nothing
+        if system is None or piece.kind not in ("aim", "pole"):
             return nothing
         distance = np.abs(system.values[which] - piece.place)
-        if piece.kind == "pair":
-            for row, (loop, nearest) in enumerate(zip(which, np.argsort(distance, axis=1), strict=True)):
-                pair = pair_of(system, loops.dA[loop], int(loop), int(nearest[0]), int(nearest[1]))
-                if pair is not None:
-                    nothing[row] = self._mean_of(f, pair)[1]
-            return nothing
         at = distance.argmin(axis=1)
         return self._of_values(piece.kind, f, system.values[which, at], system.slopes(which, at, loops.dA))[1]
 
@@ -342,6 +328,11 @@ class GainProblem:
             peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
             found.append(("static", peaks, self.limits.static_amplification))
         return found
+
+
+def _log_ratio(value: float, limit: float) -> float:
+    """Return how far a gain exceeds its limit; infinite for a gain that is not finite."""
+    return float(np.log(max(value, 1e-300) / limit)) if np.isfinite(value) else np.inf
 
 
 def rows_of(family: LoopFamily, kind: str) -> slice:

@@ -1,15 +1,25 @@
-"""Eigenvalues of many loops, their damping, and the derivatives of both by the gains."""
+"""Eigenvalues of many loops, their damping, and the derivatives of both by the gains.
+
+Matrices may hold numbers that are not finite, or so large that their eigenvalues are not computed. Their eigenvalues
+are NaN, so that a search steps back from such gains.
+"""
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.tuning.search.plane import FADE, brevity
 from gbid.poles import REAL
+
+_LARGEST = 1e60
+"""Entries of a matrix from which on it counts as not finite: powers of its eigenvalues would overflow."""
+_DEFECTIVE = 1e13
+"""Entry of a left eigenvector, with right ones of length one, from which on a matrix counts as defective."""
 
 
 def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
@@ -35,6 +45,51 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
+def eigenvalues(A: FloatArray) -> ComplexArray:
+    """Return the eigenvalues (m, n) of (m, n, n) matrices, NaN for those without finite eigenvalues."""
+    usable = _usable(A)
+    if usable.all():
+        try:
+            return np.asarray(np.linalg.eigvals(A), complex)
+        except np.linalg.LinAlgError:
+            usable = _one_by_one(A)
+    found = np.full(A.shape[:2], np.nan, complex)
+    if usable.any():
+        found[usable] = np.linalg.eigvals(A[usable])
+    return found
+
+
+def _usable(A: FloatArray) -> BoolArray:
+    """Return which matrices have finite entries whose squares are finite, too."""
+    # a comparison with NaN is false
+    return np.asarray((np.abs(A) < _LARGEST).all(axis=(1, 2)))
+
+
+def _one_by_one(A: FloatArray) -> BoolArray:
+    """Return for which matrices the eigenvalue iteration converges."""
+    found = np.zeros(len(A), bool)
+    for i, matrix in enumerate(A):
+        try:
+            np.linalg.eig(matrix)
+            found[i] = _usable(matrix[None])[0]
+        except np.linalg.LinAlgError:
+            pass
+    return found
+
+
+def _inverses(right: ComplexArray) -> tuple[ComplexArray, BoolArray]:
+    """Return the inverses of matrices of eigenvectors, and which of them are useless because a matrix is defective."""
+    try:
+        left = np.linalg.inv(right)
+    except np.linalg.LinAlgError:
+        left = np.full(right.shape, np.inf, complex)
+        for i, matrix in enumerate(right):
+            with suppress(np.linalg.LinAlgError):
+                left[i] = np.linalg.inv(matrix)
+    size = np.abs(left).max(axis=(1, 2))
+    return np.asarray(left, complex), np.asarray(~(size < _DEFECTIVE))
+
+
 @dataclass(frozen=True)
 class Eigensystem:
     """Eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows, with ``W V = I``."""
@@ -45,16 +100,36 @@ class Eigensystem:
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
-        """Return the eigensystems of (m, n, n) matrices; a defective matrix is first changed by rounding errors."""
-        values, right = np.linalg.eig(A)
+        """Return the eigensystems of (m, n, n) matrices, NaN for those without finite eigenvalues.
+
+        A defective matrix is first changed by rounding errors, because it has no complete set of eigenvectors.
+        """
+        usable = _usable(A)
+        if not usable.all():
+            return cls._of_some(A, usable)
         try:
-            left = np.linalg.inv(right)
+            values, right = np.linalg.eig(A)
         except np.linalg.LinAlgError:
-            n = A.shape[-1]
-            nudge = 1e-13 * np.linalg.norm(A, axis=(1, 2), keepdims=True) * np.random.default_rng(0).normal(size=(n, n))
-            values, right = np.linalg.eig(A + nudge)
-            left = np.linalg.inv(right)
+            return cls._of_some(A, _one_by_one(A))
+        left, defective = _inverses(right)
+        if defective.any():
+            values, right = values.astype(complex), right.astype(complex)
+            n, B = A.shape[-1], A[defective]
+            size = np.maximum(np.linalg.norm(B, axis=(1, 2), keepdims=True), 1e-290)
+            nudge = 1e-13 * size * np.random.default_rng(0).normal(size=(n, n))
+            values[defective], right[defective] = np.linalg.eig(B + nudge)
+            left = _inverses(right)[0]
         return cls(values.astype(complex), right.astype(complex), left.astype(complex))
+
+    @classmethod
+    def _of_some(cls, A: FloatArray, usable: BoolArray) -> Eigensystem:
+        m, n = A.shape[:2]
+        values = np.full((m, n), np.nan, complex)
+        right, left = np.full((m, n, n), np.nan, complex), np.full((m, n, n), np.nan, complex)
+        if usable.any():
+            some = cls.of(A[usable])
+            values[usable], right[usable], left[usable] = some.values, some.right, some.left
+        return cls(values, right, left)
 
     def slopes(self, loops: npt.NDArray[np.intp], which: npt.NDArray[np.intp], dA: FloatArray) -> ComplexArray:
         """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""
@@ -71,51 +146,3 @@ def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float
     short = brevity(rates, sample_time)[:, None]
     fading = np.where((short > 0) & (short < 1), -slopes.real * sample_time / FADE, 0.0)
     return np.asarray((1 - short) * found + (1 - damping_factors(rates)[:, None]) * fading)
-
-
-@dataclass(frozen=True)
-class Pair:
-    """Two eigenvalues a, b that nearly meet: their mean and ``((a - b)/2)^2``, which are smooth where they meet."""
-
-    mean: complex
-    mean_slope: ComplexArray
-    gap: complex
-    gap_slope: ComplexArray
-
-
-def pair_of(system: Eigensystem, dA: FloatArray, loop: int, first: int, second: int) -> Pair | None:
-    """Return mean and squared half distance of two eigenvalues with their derivatives.
-
-    The two span the invariant subspace ``A Q = Q M``, with left basis ``L Q = I``. Both derivatives follow from
-    ``dM = L dA Q``: the trace of M is twice the mean, and ``gap = ((M_11 - M_22)/2)^2 + M_12 M_21``.
-
-    Parameters
-    ----------
-    system : Eigensystem
-        Eigenvalues and eigenvectors.
-    dA : (d, n, n) array
-        Derivatives of the matrix of the loop.
-    loop, first, second : int
-        Indices of the loop and of the two eigenvalues.
-
-    Returns
-    -------
-    Pair, or None when the subspace is not determined up to rounding.
-    """
-    which, n = [first, second], system.values.shape[1]
-    right = np.linalg.qr(system.right[loop][:, which])[0]
-    left = np.linalg.qr(system.left[loop][which].T)[0].T
-    overlap = left @ right
-    if n < 2 or np.linalg.cond(overlap) > 1e10:
-        return None
-    L = np.linalg.solve(overlap, left)
-    # A Q = V diag(values) (V^-1 Q), which needs no A
-    M = L @ (system.right[loop] * system.values[loop]) @ (system.left[loop] @ right)
-    dM = L @ dA @ right
-    half, d_half = (M[0, 0] - M[1, 1]) / 2, (dM[:, 0, 0] - dM[:, 1, 1]) / 2
-    return Pair(
-        complex(np.trace(M) / 2),
-        np.trace(dM, axis1=1, axis2=2) / 2,
-        complex(half**2 + M[0, 1] * M[1, 0]),
-        2 * half * d_half + dM[:, 0, 1] * M[1, 0] + M[0, 1] * dM[:, 1, 0],
-    )

@@ -11,26 +11,27 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.search.problem import ActiveFunction, ActiveFunctions, GainProblem, Score
+from gbid.control.tuning.search.nonsmooth.active import ActiveFunction, ActiveFunctions, Score, merit
+from gbid.control.tuning.search.nonsmooth.certificate import Certificate
+from gbid.control.tuning.search.nonsmooth.meetings import back_to_meeting, meetings
+from gbid.control.tuning.search.problem import GainProblem
 
 
 @dataclass(frozen=True)
 class LocalOptimum:
-    """Local optimum: gains, score, number of iterations, and whether the optimisation converged."""
+    """Local optimum: gains, score, iterations, whether the optimisation ended by itself, and its certificate."""
 
     x: FloatArray
     score: Score
     iterations: int
     converged: bool
+    certificate: Certificate | None = None
 
 
 _PENALTY = 10.0
 _DIFFERENCE = 1e-6
-
-
-def merit(score: Score, penalty: float) -> float:
-    """Return the merit to be maximised: objective minus a penalty on the largest violation."""
-    return score.value - penalty * score.violation
+_RIDGES = (1e-9, 1e-6, 1e-4)
+"""Curvature that is added to a step's quadratic programme; more when the solver fails with less."""
 
 
 def optimise_locally(
@@ -99,28 +100,36 @@ def _climb(
     functions = problem.functions(x)
     stalled, milestone = 0, merit(functions.score, penalty)
     for iteration in range(1, max_iterations + 1):
+        if not functions.score.usable:
+            return LocalOptimum(x, functions.score, iteration, False)
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
-        steps = [_back_to_meeting(problem, x, step) for step in _steps(functions, H, width, box, penalty)]
-        penalty = max([penalty, *(2.0 * step.limit_weight for step in steps if step.keeps_limits)])
-        promises = [step.gain for step in steps]
-        if max(promises, default=0.0) <= 1e-13 and any(not step.meeting for step in steps):
-            return LocalOptimum(x, functions.score, iteration, True)
         # peaks are not computed for a design whose objective alone is below the present merit
         floor = merit(functions.score, penalty)
-        scores = [problem.score(x + step.move, floor) for step in steps]
-        merits = [merit(score, penalty) for score in scores]
-        best = int(np.argmax(merits)) if steps else 0
-        improvement = merits[best] - floor if steps else 0.0
+        plain = _step(functions, list(functions.aim), [], H, width, box, penalty)
+        best, improvement = plain, -np.inf
+        if plain is not None:
+            penalty = max(penalty, 2.0 * plain.limit_weight if plain.keeps_limits else 0.0)
+            improvement = merit(problem.score(x + plain.move, floor), penalty) - floor
+        met: list[_Step] = []
+        if plain is None or improvement < 0.5 * plain.gain or plain.gain <= 1e-13:
+            met = _meeting_steps(problem, x, functions, H, width, box, penalty)
+        for step in met:
+            penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
+            gained = merit(problem.score(x + step.move, floor), penalty) - floor
+            if gained > improvement:
+                best, improvement = step, gained
+        if plain is not None and max([plain.gain, *(step.gain for step in met)]) <= 1e-13:
+            return LocalOptimum(x, functions.score, iteration, True)
         # a step with meeting eigenvalues may promise a loss, but it is accepted only when it improves the merit
-        promised = max(promises[best], 0.0) if steps else np.inf
+        promised = np.inf if best is None else max(best.gain, 0.0)
         good = improvement > 0.05 * promised
-        if good or improvement > 1e-7:
-            x = np.clip(x + steps[best].move, problem.lower, problem.upper)
+        if best is not None and (good or improvement > 1e-7):
+            x = np.clip(x + best.move, problem.lower, problem.upper)
             functions = problem.functions(x)
             if on_step is not None:
                 on_step(iteration, functions.score)
             if curvature:
-                H = _curvature(problem, x, steps[best])
+                H = _curvature(problem, x, best)
         if improvement > 0.5 * promised:
             radius = min(2 * radius, 0.5)
         elif not good:
@@ -144,30 +153,27 @@ class _Step:
     weights: tuple[tuple[ActiveFunction, float], ...]
     limit_weight: float
     keeps_limits: bool
-    meeting: tuple[ActiveFunction, ...] = ()
 
 
-def _steps(
-    functions: ActiveFunctions, H: FloatArray, width: FloatArray, box: tuple[FloatArray, FloatArray], penalty: float
+def _meeting_steps(
+    problem: GainProblem,
+    x: FloatArray,
+    functions: ActiveFunctions,
+    H: FloatArray,
+    width: FloatArray,
+    box: tuple[FloatArray, FloatArray],
+    penalty: float,
 ) -> list[_Step]:
-    """Return the plain step, and steps in which pairs of eigenvalues meet."""
-    steps = [_step(functions, list(functions.aim), [], H, width, box, penalty)]
-    close = sorted(
-        (entry for entry in functions.pairs if entry[0].value < functions.score.value + 0.1),
-        key=lambda entry: abs(entry[1].gap) / abs(entry[1].mean) ** 2,
-    )
-    keep, rows = list(functions.aim), []
-    means: list[ActiveFunction] = []
-    for mean, pair in close[:2]:
-        own = [piece for piece in keep if (piece.family, piece.loop) == (mean.family, mean.loop)]
-        gone = sorted(own, key=lambda piece: abs(piece.place - pair.mean))[:2]
-        keep = [piece for piece in keep if not any(piece is other for other in gone)] + [mean]
-        size = abs(pair.mean) ** 2
-        rows += [(pair.gap.real / size, pair.gap_slope.real / size), (pair.gap.imag / size, pair.gap_slope.imag / size)]
-        means.append(mean)
-        step = _step(functions, keep, rows, H, width, box, penalty)
-        steps.append(None if step is None else replace(step, meeting=tuple(means)))
-    return [step for step in steps if step is not None]
+    """Return steps at whose ends eigenvalues meet."""
+    found = []
+    for group in meetings(problem, x, functions):
+        keep = [piece for piece in functions.aim if not any(one.holds(piece) for one in group)]
+        means = tuple(one.mean for one in group)
+        rows = [row for one in group for row in one.rows]
+        step = _step(functions, [*keep, *means], rows, H, width, box, penalty)
+        if step is not None:
+            found.append(replace(step, move=back_to_meeting(problem, x, step.move, means)))
+    return found
 
 
 def _step(
@@ -197,7 +203,7 @@ def _step(
         rows.append(np.concatenate([slope * reach / norm, [0.0, 0.0]]))
         low.append(-value / norm)
         high.append(-value / norm)
-    curve = 1e-9 * np.eye(d + 2)
+    curve = np.zeros((d + 2, d + 2))
     curve[:d, :d] += H * np.outer(reach, reach) / size
     linear = np.concatenate([np.zeros(d), [-1.0, penalty]])
     # without active functions of the objective (all modes real) t has the largest possible value as its bound
@@ -205,8 +211,13 @@ def _step(
     upper = np.concatenate([box[1] / reach, [(1.0 - now) / size + 1.0 if not aim else 1e6, 1e6]])
     # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
     A = np.array(rows).reshape(-1, d + 2)
-    length = np.maximum(np.linalg.norm(A, axis=1), 1.0)
-    solution = _solve(curve, linear, A / length[:, None], np.array(low) / length, np.array(high) / length, lower, upper)
+    if not (np.isfinite(A).all() and np.isfinite(low).all() and np.isfinite(curve).all()):
+        return None
+    length = np.maximum(np.abs(A).max(axis=1, initial=0.0), 1.0)
+    A, sides = A / length[:, None], (np.array(low) / length, np.array(high) / length)
+    solution = None
+    for ridge in _RIDGES:
+        solution = solution or _solve(curve + ridge * np.eye(d + 2), linear, A, *sides, lower, upper)
     if solution is None:
         return None
     y, duals = solution[0], solution[1] / length
@@ -215,31 +226,6 @@ def _step(
     weights = tuple((piece, float(abs(w))) for piece, w in zip(held, duals, strict=False) if abs(w) > 1e-9)
     limit_weight = float(np.abs(duals[len(aim) : len(held)]).sum())
     return _Step(y[:d] * reach, gain, weights, limit_weight, bool(y[d + 1] < 1e-7))
-
-
-def _back_to_meeting(problem: GainProblem, x: FloatArray, step: _Step) -> _Step:
-    """Return a step corrected so that its pairs of eigenvalues meet at its end.
-
-    The distance of a pair is a square root. So an error of second order in the step would change it to first order.
-    """
-    move, width = step.move, problem.upper - problem.lower
-    places = [mean.place for mean in step.meeting]
-    for _ in range(8 if step.meeting else 0):
-        pairs = [
-            problem.pair_near(x + move, mean.family, mean.loop, place)
-            for mean, place in zip(step.meeting, places, strict=True)
-        ]
-        found = [pair for pair in pairs if pair is not None]
-        if len(found) < len(pairs):
-            return step
-        places = [pair.mean for pair in found]
-        values = np.array([pair.gap / abs(pair.mean) ** 2 for pair in found])
-        if np.abs(values).max() < 1e-13:
-            break
-        slopes = np.array([pair.gap_slope / abs(pair.mean) ** 2 for pair in found]) * width
-        rows, sides = np.vstack([slopes.real, slopes.imag]), -np.concatenate([values.real, values.imag])
-        move = np.clip(x + move + np.linalg.lstsq(rows, sides, rcond=None)[0] * width, problem.lower, problem.upper) - x
-    return replace(step, move=move)
 
 
 @lru_cache(maxsize=64)
@@ -253,7 +239,10 @@ def _solve(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Return the solution of a small convex quadratic programme by CasADi's DAQP, or None."""
     solver = _solver(len(g), len(A))
-    answer: dict[str, Any] = solver(h=H, g=g, a=A, lba=low, uba=high, lbx=lower, ubx=upper)
+    try:
+        answer: dict[str, Any] = solver(h=H, g=g, a=A, lba=low, uba=high, lbx=lower, ubx=upper)
+    except RuntimeError:  # the solver finds its numbers unfit: the step is given up, and the trust region shrinks
+        return None
     y = answer["x"].full()[:, 0]
     if not (solver.stats()["success"] and np.isfinite(y).all()):
         return None
@@ -267,7 +256,7 @@ def _curvature(problem: GainProblem, x: FloatArray, step: _Step) -> FloatArray:
         return np.zeros((len(x), len(x)))
     h = np.where(x + _DIFFERENCE * width > problem.upper, -_DIFFERENCE, _DIFFERENCE) * width
     slopes = problem.slopes_at([piece for piece, _ in step.weights], [x, *(x + np.diag(h))])
-    signs = np.array([-w if piece.kind in ("aim", "pair") else w for piece, w in step.weights])
+    signs = np.array([-w if piece.kind in ("aim", "cluster") else w for piece, w in step.weights])
     # functions without a gradient at a nearby design are left out
     H = np.einsum("n,qnd->qd", signs, np.nan_to_num((slopes[1:] - slopes[0]) / h[:, None, None]))
     values, vectors = np.linalg.eigh((H + H.T) / 2)

@@ -15,8 +15,8 @@ class SearchStep:
     Attributes
     ----------
     stage : str
-        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak between grid frequencies was added) or
-        ``"points"`` (worst points were added).
+        ``"global"``, ``"local"``, ``"basin hopping"``, ``"cut"`` (a peak between grid frequencies was added),
+        ``"certificate"`` (the design was certified or improved) or ``"points"`` (worst points were added).
     count : int
         Number of designs evaluated so far.
     value : float

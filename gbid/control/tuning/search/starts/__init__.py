@@ -1,0 +1,1 @@
+"""Start values of the search, in proportion to what the gains do to the loops."""
