@@ -42,8 +42,12 @@ def export(
         typer.Option("--at", metavar="BAR RPM", help="Of LPV models and controllers: those at this operating point."),
     ] = None,
     number: Annotated[
-        Literal["double", "float"], typer.Option("--number", help="Type of the numbers in C source.")
-    ] = "double",
+        Literal["double", "float"] | None,
+        typer.Option("--number", help="Type of the numbers in C source; else that of the section target, or double."),
+    ] = None,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Run C source on an emulated Cortex-M4F and write its instructions down.")
+    ] = False,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
@@ -62,7 +66,7 @@ def export(
 
         export_target(to)
         found = find_exports(source, at, results)
-        request = ExportRequest(output or found.folder, overwrite, at, number)
+        request = ExportRequest(output or found.folder, overwrite, at, number, measure)
         files = [str(path) for path in write_exports(found, to, request)]
         if as_json:
             print_json({"files": files, "left_out": list(found.left_out)})

@@ -8,7 +8,6 @@ from gbid.control.controllers.built_in.p import PStructure
 from gbid.control.controllers.built_in.pd import PDStructure
 from gbid.control.controllers.controller_file import load_controller, save_controller
 from gbid.control.controllers.design import ControllerDesign
-from gbid.control.controllers.export_c import export_c
 from gbid.control.controllers.proportional import p_controller
 from gbid.control.controllers.scheduled import Scheduled, controller_at, scheduled
 from gbid.control.controllers.structures import controller_model, controller_structure
@@ -120,7 +119,6 @@ __all__ = [
     "disk_margin",
     "disk_margins_by_loop",
     "exact_plant",
-    "export_c",
     "find_impacts",
     "fit_ringdown",
     "force_entry",

@@ -17,6 +17,7 @@ from gbid.experiment.stages.nominal.schema import NominalSection
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.experiment.stages.rig.schema import RigSection
 from gbid.experiment.stages.static.schema import StaticSection
+from gbid.experiment.stages.target.schema import TargetSection
 from gbid.experiment.stages.tune.schema import ControllerSection
 
 
@@ -36,5 +37,6 @@ class ExperimentFile(Section):
     nominal: Annotated[NominalSection | None, BeforeValidator(given)] = None
     lpv: Annotated[LpvSection | None, BeforeValidator(given)] = None
     controller: dict[Name, ControllerSection] = Field(default_factory=dict)
+    target: Annotated[TargetSection | None, BeforeValidator(given)] = None
     impacts: Annotated[ImpactsSection | None, BeforeValidator(given)] = None
     figures: dict[Text, FigureSection] = Field(default_factory=dict)

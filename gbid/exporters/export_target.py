@@ -8,8 +8,27 @@ from pathlib import Path
 
 from gbid.control import ControllerDesign
 from gbid.interchange import Exportable
+from gbid.prefilter import RunoutMap
+from gbid.target import ChainOptions
+from gbid.target.chain_options import Number
 
 Point = tuple[float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What a controller needs around it on a target.
+
+    Attributes
+    ----------
+    maps : tuple of RunoutMap
+        Run-out maps of the experiment.
+    options : ChainOptions
+        Limits, ramps, guards and watchdog.
+    """
+
+    maps: tuple[RunoutMap, ...] = ()
+    options: ChainOptions = field(default_factory=ChainOptions)
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,10 +41,13 @@ class ExportItem:
         Name of its files without ending: letters, digits and ``_``, a letter first.
     what : LinearModel, FitResult, LPVModel or ControllerDesign
         The value.
+    surroundings : Surroundings
+        What a controller needs around it; empty for models.
     """
 
     name: str
     what: Exportable | ControllerDesign
+    surroundings: Surroundings = field(default_factory=Surroundings)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +62,10 @@ class ExportRequest:
         Whether existing files may be replaced.
     at : (pressure_bar, speed_rpm), optional
         Operating point.
-    number : {"double", "float"}
-        Type of the numbers in generated source.
+    number : {"double", "float"}, optional
+        Type of the numbers in generated source, instead of that in the experiment.
+    measure : bool
+        Whether generated source is run on an emulated microcontroller to count its instructions.
     beside : tuple of ExportItem
         All items of the source, for a target that joins several of them, as a plant and its controller.
     """
@@ -49,7 +73,8 @@ class ExportRequest:
     folder: Path
     overwrite: bool = False
     at: Point | None = None
-    number: str = "double"
+    number: Number | None = None
+    measure: bool = False
     beside: tuple[ExportItem, ...] = field(default=())
 
 

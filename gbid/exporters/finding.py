@@ -13,8 +13,9 @@ from gbid.experiment.run.job import Job
 from gbid.experiment.stages.fit.plan import fit_models
 from gbid.experiment.stages.fit.stage import load_made_fit
 from gbid.experiment.stages.impact.plan import TUNED
+from gbid.experiment.stages.target.plan import chain_options, made_maps
 from gbid.experiment.stages.tune.plan import design_structure
-from gbid.exporters.export_target import ExportItem, Point
+from gbid.exporters.export_target import ExportItem, Point, Surroundings
 from gbid.identify import load_fit
 from gbid.lpv import LPVModel, load_model
 from gbid.yaml_file import read_yaml
@@ -96,8 +97,8 @@ def _of_model(name: str, model: LPVModel, at: Point | None) -> tuple[ExportItem,
     return (bearing, ExportItem(f"{point}_plant", model.plant_at(*at))) if model.actuators else (bearing,)
 
 
-def _controller_item(design: ControllerDesign) -> ExportItem:
-    return ExportItem(identifier(f"controller_{design.name}"), design)
+def _controller_item(design: ControllerDesign, around: Surroundings | None = None) -> ExportItem:
+    return ExportItem(identifier(f"controller_{design.name}"), design, around or Surroundings())
 
 
 def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Exports:
@@ -119,9 +120,10 @@ def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Export
                 items += _of_model(identifier(file.stem), load_model(file), at)
         except GbidError as error:
             left_out.append(str(error))
+    around = Surroundings(made_maps(job), chain_options(job.experiment))
     for name in job.experiment.spec.controller:
         try:
-            items.append(_controller_item(_tuned(job, name)))
+            items.append(_controller_item(_tuned(job, name), around))
         except GbidError as error:
             left_out.append(str(error))
     if not items:

@@ -15,6 +15,8 @@ from gbid.recording import Recording
 
 SURE = 5.0
 """Number of standard deviations by which every other offset must be worse."""
+INDEX_OFF = np.deg2rad(10.0)
+"""Smallest rotation of a recording's run-out against the map that shows a missed index [rad]."""
 _GRID = 3600  # evaluated offsets; the minima are refined
 _MAX_BLOCKS = 20
 
@@ -153,6 +155,34 @@ def align_index(runout_map: RunoutMap, recording: Recording, *, orders: int = 10
         offsets=grid,
         misfit=curve,
     )
+
+
+def refuse_lost_index(runout_map: RunoutMap, recording: Recording) -> None:
+    """Refuse a recording whose run-out is that of the map but rotated; the map would then add run-out.
+
+    Parameters
+    ----------
+    runout_map : RunoutMap
+        A map over the angle.
+    recording : Recording
+        Recording with p and phi at the same operating point. One that is too short for an estimate is accepted.
+
+    Raises
+    ------
+    DataError
+        When the zero of the angle is another one.
+    """
+    try:
+        found = align_index(runout_map, recording)
+    except DataError:
+        return  # too short for an estimate of the rotation
+    off = abs(np.angle(np.exp(1j * found.offset)))
+    if found.sure and off > max(INDEX_OFF, SURE * found.std):
+        raise DataError(
+            f"recording {recording.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but rotated by "
+            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not start at the "
+            "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
+        )
 
 
 def _map_phasors(runout_map: RunoutMap, orders: int) -> FloatArray:

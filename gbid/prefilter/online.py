@@ -68,6 +68,23 @@ class OnlinePrefilter:
         """Delay of the output in samples: half the size of the median, rounded down."""
         return self._half
 
+    def change_map(self, runout_map: RunoutMap) -> None:
+        """Use another map from the next sample on, as at another operating point; the state is kept.
+
+        Parameters
+        ----------
+        runout_map : RunoutMap
+            The new map, of the same channels.
+
+        Raises
+        ------
+        UsageError
+            When the channels differ.
+        """
+        if self._map is None or self._map.mean.shape != runout_map.mean.shape:
+            raise UsageError("change_map: the new run-out map has other channels than the one before")
+        self._map = runout_map
+
     def start(self) -> None:
         """Reset the filter and forget all earlier samples."""
         self._window.clear()

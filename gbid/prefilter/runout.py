@@ -11,6 +11,7 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
+from gbid.prefilter.cos_sin import cos_sin
 
 TURN = 2 * np.pi
 
@@ -95,7 +96,7 @@ class RunoutMap:
         """Add the harmonics by angle addition, with rounding that does not depend on the number of angles."""
         # The online filter calls this with one angle, the offline filter with many. A matrix product would round
         # differently in the two cases; products and sums one by one give the same bits.
-        cos_1, sin_1 = np.cos(phi), np.sin(phi)
+        cos_1, sin_1 = cos_sin(np.asarray(phi, dtype=float))
         cos_n, sin_n = cos_1, sin_1
         coefficients = {int(order): (a, b) for order, a, b in zip(self.orders, self.cosine, self.sine, strict=True)}
         for order in range(1, max(coefficients) + 1):

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +9,7 @@ import pytest
 from own_controller import own
 
 import gbid
-from gbid.control import BiquadStructure, PStructure, controller_model, export_c, sample_controller, scheduled
+from gbid.control import BiquadStructure, PStructure, controller_model, sample_controller, scheduled
 from gbid.errors import UsageError
 
 GAINS = {"kappa_x": 1.125, "kappa_y": 0.99}
@@ -112,47 +109,3 @@ def test_bad_files(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(UsageError, match="leave structure= out"):
         gbid.load_controller(path, own())
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
-@pytest.mark.parametrize(("number", "tolerance"), [("double", 1e-12), ("float", 1e-5)])
-@pytest.mark.parametrize("kind", ["P", "biquad", "gain"])
-def test_c_is_the_sampled_model_with_saturation(kind: str, number: str, tolerance: float, tmp_path: Path) -> None:
-    if kind == "gain":
-        model = controller_model(PStructure(order=0), GAINS)
-    else:
-        model = controller_model(gbid.controller_structure(kind), GAINS if kind == "P" else BIQUAD)
-    sampled = sample_controller(model, 2e-4)
-    source, header = export_c(tmp_path / "damper.c", sampled, limit_m=22.5e-6, number=number)
-    library = tmp_path / "damper.so"
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-O2", "-fPIC", "-shared"]
-    done = subprocess.run(["cc", *flags, str(source), "-o", str(library)], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert header.is_file()
-    code = ctypes.CDLL(str(library))
-    real = ctypes.c_double if number == "double" else ctypes.c_float
-    state, r = (real * max(sampled.n_states, 1))(*[9.0] * sampled.n_states), (real * 2)()
-    code.damper_reset(state)
-    p = np.random.default_rng(1).normal(scale=15e-6, size=(500, 2))
-    found = np.empty((500, 2))
-    for k in range(500):
-        code.damper_step(state, (real * 2)(*p[k]), r)
-        found[k] = r
-    expected = np.clip(sampled.simulate(p), -22.5e-6, 22.5e-6)
-    assert (np.abs(expected) == 22.5e-6).any()
-    np.testing.assert_allclose(found, expected, rtol=0, atol=tolerance * 22.5e-6)
-
-
-def test_bad_exports(tmp_path: Path) -> None:
-    model = controller_model(PStructure(), GAINS)
-    sampled = sample_controller(model, 2e-4)
-    export_c(tmp_path / "damper.c", sampled)
-    for arguments, options, message in (
-        ((tmp_path / "damper.c", sampled), {}, "exists; choose another name or overwrite=True"),
-        ((tmp_path / "new.c", model), {}, "is continuous; sample it first"),
-        ((tmp_path / "two words.c", sampled), {}, r"a C identifier and ends in \.c"),
-        ((tmp_path / "new.c", sampled), {"limit_m": 0.0}, "limit_m = 0.0; give a positive"),
-        ((tmp_path / "new.c", sampled), {"number": "half"}, "choose 'double' or 'float'"),
-    ):
-        with pytest.raises(UsageError, match=message):
-            export_c(*arguments, **options)  # type: ignore[arg-type]

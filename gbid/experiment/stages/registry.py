@@ -16,9 +16,10 @@ from gbid.experiment.stages.nominal.stage import NOMINAL
 from gbid.experiment.stages.prefilter.stage import PREFILTER
 from gbid.experiment.stages.rig.stage import RIG
 from gbid.experiment.stages.static.stage import STATIC
+from gbid.experiment.stages.target.stage import TARGET
 from gbid.experiment.stages.tune.stage import TUNE
 
 STAGES: tuple[Stage, ...] = (
     *(RIG, IMPORT, PREFILTER, FIT),
-    *(STATIC, CROSSVAL, NOMINAL, LPV, TUNE, IMPACT, FIGURES),
+    *(STATIC, CROSSVAL, NOMINAL, LPV, TUNE, TARGET, IMPACT, FIGURES),
 )

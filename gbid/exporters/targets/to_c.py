@@ -1,29 +1,49 @@
-"""Export of controllers as C source."""
+"""Export of controllers as C source: the whole chain from the sensors to the piezo stacks."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from gbid.control import ControllerDesign, export_c
-from gbid.exporters.at_points import controller_models
-from gbid.exporters.export_target import ExportItem, ExportRequest, ExportTarget
+from gbid.control import ControllerDesign
+from gbid.errors import UsageError
+from gbid.exporters.export_target import ExportItem, ExportRequest, ExportTarget, Point
+from gbid.operating_point import point_label
+from gbid.prefilter import RunoutMap
+from gbid.prefilter.runout import differing_condition
+from gbid.target import chain_of, write_chain
 
 
 def write_c(item: ExportItem, request: ExportRequest) -> list[Path]:
-    """Write source and header of a controller, and return the files.
+    """Write the chain of a controller, and return the files; see `gbid.target.write_chain`.
 
     Raises
     ------
     UsageError
-        When a file exists and `overwrite` is not set.
+        When a file exists and `overwrite` is not set, when the controller cannot run on a target, or when there is no
+        run-out map at the chosen operating point.
     """
-    assert isinstance(item.what, ControllerDesign)
-    models = controller_models(item.name, item.what, request.at)
-    return [
-        path
-        for name, model in models.items()
-        for path in export_c(request.folder / f"{name}.c", model, number=request.number, overwrite=request.overwrite)
-    ]
+    design, around = item.what, item.surroundings
+    assert isinstance(design, ControllerDesign)
+    options = around.options if request.number is None else replace(around.options, number=request.number)
+    maps = around.maps
+    if request.at is not None:
+        design = replace(design, structure=None, models={None: design.at(*request.at)})
+        maps = _maps_at(maps, request.at)
+    chain = chain_of(design, name=item.name, runout_maps=maps, options=options)
+    return write_chain(chain, request.folder, measure=request.measure, overwrite=request.overwrite)
 
 
-TARGET = ExportTarget("controllers as C source", (ControllerDesign,), write_c)
+def _maps_at(maps: tuple[RunoutMap, ...], at: Point) -> tuple[RunoutMap, ...]:
+    wanted = {"pressure_bar": at[0], "speed_rpm": at[1]}
+    found = tuple(each for each in maps if differing_condition(each.conditions, wanted) is None)
+    if maps and not found:
+        there = ", ".join(
+            point_label(each.conditions.get("pressure_bar", 0.0), each.conditions.get("speed_rpm", 0.0))
+            for each in maps
+        )
+        raise UsageError(f"--at {at[0]:g} {at[1]:g}: no run-out map at this operating point; there are maps at {there}")
+    return found
+
+
+TARGET = ExportTarget("controllers as C source, with filters, limits and watchdog", (ControllerDesign,), write_c)

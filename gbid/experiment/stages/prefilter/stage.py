@@ -8,8 +8,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gbid.errors import DataError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
@@ -22,15 +20,12 @@ from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
+from gbid.prefilter.align import refuse_lost_index
 from gbid.prefilter.prefilter_store import add_report, read_report
 from gbid.recording import Recording, save_recording
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
-INDEX_OFF = np.deg2rad(10.0)
-"""Smallest rotation of a recording's run-out against the map that shows a missed index [rad]."""
-SURE = 5.0
-"""Smallest such rotation in standard deviations of its estimate."""
 
 
 def prefilter_tasks(job: Job) -> list[Task]:
@@ -106,27 +101,12 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
         if section.align_index:
             raw = align_index(runout_map, raw).apply(raw)
         else:
-            _refuse_lost_index(runout_map, raw)
+            refuse_lost_index(runout_map, raw)
     filtered, report = prefilter(
         raw, runout_map, spikes=section.spikes, median=section.median, remove_mean=section.remove_mean
     )
     save_recording(filtered, part, overwrite=True)
     add_report(part, report)
-
-
-def _refuse_lost_index(runout_map: RunoutMap, raw: Recording) -> None:
-    """Refuse a recording whose run-out is that of the map but rotated; the map would then add run-out."""
-    try:
-        found = align_index(runout_map, raw)
-    except DataError:
-        return  # too short for an estimate of the rotation
-    off = abs(np.angle(np.exp(1j * found.offset)))
-    if found.sure and off > max(INDEX_OFF, SURE * found.std):
-        raise DataError(
-            f"recording {raw.name!r}: its run-out is that of {', '.join(runout_map.sources)}, but rotated by "
-            f"{np.rad2deg(off):.1f} degrees (std {np.rad2deg(found.std):.1f}), so phi does not start at the "
-            "same zero: the encoder missed its index; write prefilter: align_index: true, or record again"
-        )
 
 
 def _write_map(job: Job, item: str, part: Path) -> Made:

@@ -1,0 +1,1 @@
+"""Settings of the control chain on a real-time target."""

@@ -1,0 +1,180 @@
+"""`gbid export --to c`: from an experiment to the files of the box by one command, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain_cases import BIQUAD, design, runout_map
+from target_files import write_box
+
+import gbid
+from gbid.cli.main import app
+from gbid.control import ControllerDesign, controller_structure
+from gbid.errors import DataError, UsageError
+from gbid.recording import Recording
+from gbid.structure import LinearModel
+from gbid.target import ChainOptions, CompiledChain, chain_of, write_chain
+from gbid.target.identifiers import c_comment
+
+
+def run(*arguments: object) -> int:
+    with pytest.raises(SystemExit) as ended:
+        app([str(a) for a in arguments], prog_name="gbid")
+    return int(ended.value.code or 0)
+
+
+@pytest.fixture(scope="module")
+def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = write_box(tmp_path_factory.mktemp("box"), "target: {number: float, disc_limit_m: 15.0e-6, ramp_s: 0.1}\n")
+    assert run("run", path) == 0
+    return path
+
+
+def test_one_command_writes_the_chain_of_an_experiment(box: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", box, "--to", "c", "--json") == 0
+    files = [Path(name) for name in json.loads(capsys.readouterr().out)["files"]]
+    endings = (".h", ".c", "_selftest.c", "_sfun.c", "_notes.md")
+    assert [file.name for file in files] == [f"controller_feedback{ending}" for ending in endings]
+    header = files[0].read_text()
+    assert "with the run-out map of: p6_n3000_still" in header
+    assert "typedef float controller_feedback_real;" in header
+    assert "run-out, unbalance response and offset taken out" in header
+    notes = files[4].read_text()
+    assert "3 samples in a row beyond 1.5e-05 m: fault 4" in notes
+    assert "ramp of 0.1 s" in notes
+    assert "at 6 bar, 3000 rpm" in notes
+    assert run("export", box, "--to", "c") == 2
+    assert "exists already" in capsys.readouterr().err
+    assert run("export", box, "--to", "c", "--number", "double", "--overwrite") == 0
+    assert "typedef double controller_feedback_real;" in files[0].read_text()
+
+
+def test_at_chooses_the_map(box: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("export", box, "--to", "c", "--at", 6, 3000, "--output", tmp_path) == 0
+    capsys.readouterr()
+    assert run("export", box, "--to", "c", "--at", 5, 3000, "--output", tmp_path / "other") == 2
+    assert "no run-out map at this operating point; there are maps at 6 bar" in capsys.readouterr().err
+
+
+def test_a_target_section_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for section, words in (
+        ("target: {limit_m: 30.0e-6}", "limit_m = 3e-05 m around offset_m = 2.25e-05 m leaves the stroke"),
+        ("target: {median: 2}", "median"),
+        ("target: {limits: 1}", "limits"),
+        ("target: {bad_samples: 40000}", "bad_samples = 40000; give a whole number from 1 to 30000"),
+    ):
+        assert run("check", write_box(tmp_path, section + "\n")) == 2
+        assert words in capsys.readouterr().err
+
+
+def unstable() -> ControllerDesign:
+    one = np.eye(2)
+    model = LinearModel(one * 50.0, one, one, one * 0, input_names=("p_x", "p_y"), output_names=("r_x", "r_y"))
+    return ControllerDesign("wild", None, {}, 2e-4, models={None: model})
+
+
+def test_controllers_that_cannot_run() -> None:
+    with pytest.raises(UsageError, match=r"'wild' is unstable by itself .a pole of magnitude 1.01005 in the z plane"):
+        chain_of(unstable())
+    slow = replace(design("P"), sample_time=2e-3)
+    with pytest.raises(UsageError, match=r"sample_time = 0.002 s is too slow for its pole at 1000 Hz; at most 0.0005"):
+        chain_of(slow)
+    one = LinearModel(
+        np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), np.eye(1), input_names=("p",), output_names=("r",)
+    )
+    with pytest.raises(UsageError, match="1 inputs and 1 outputs; the chain needs"):
+        chain_of(ControllerDesign("one", None, {}, models={None: one}))
+    model = design("P").at()
+    points = {(3.0, 0.0): model, (5.0, 0.0): model, (3.0, 6000.0): model}
+    with pytest.raises(UsageError, match="no full grid, 5 bar at 6000 rpm is missing"):
+        chain_of(ControllerDesign("three", None, {}, models=points))
+
+
+@pytest.mark.parametrize("name", ["two words", "9lives", "a-b", "", "int", "x" * 51, "a\nb", "a*/b", "grün"])
+def test_names_that_are_no_identifiers(name: str) -> None:
+    with pytest.raises(UsageError, match="is no C identifier; use letters, digits"):
+        chain_of(replace(design("P"), name=name))
+
+
+def test_free_texts_cannot_leave_their_comment(tmp_path: Path) -> None:
+    wild = "evil */ int x; /* \n #define a \\ ??/ \u00e4 **/ //*/"
+    assert c_comment(wild).isascii()
+    assert not any(mark in c_comment(wild) for mark in ("*/", "/*", "\n", "\\", "??"))
+    map_ = replace(runout_map(), sources=(wild,))
+    chain = chain_of(replace(design("P"), plant=wild), name="damper", runout_maps=[map_])
+    chain = replace(chain, notes=(wild,))
+    write_chain(chain, tmp_path)
+    if shutil.which("cc"):
+        CompiledChain(chain)
+    assert "int x" in (tmp_path / "damper.h").read_text().split("*/", 1)[0]
+
+
+def test_maps_that_do_not_fit() -> None:
+    three = replace(runout_map(), channels=("x", "y", "z"))
+    with pytest.raises(UsageError, match="has 3 channels, the controller p_x and p_y; it is of other sensors"):
+        chain_of(design("P"), runout_maps=[three])
+    broken = replace(runout_map(), mean=np.array([np.nan, 0.0]))
+    with pytest.raises(UsageError, match="not finite; make it again"):
+        chain_of(design("P"), runout_maps=[broken])
+    with pytest.raises(UsageError, match="tables over the angle, which are not interpolated"):
+        chain_of(design("P"), runout_maps=[runout_map("bins"), runout_map("bins", speed=4000.0)])
+    with pytest.raises(UsageError, match="two run-out maps at 6 bar, 6000 rpm"):
+        chain_of(design("P"), runout_maps=[runout_map(), runout_map()])
+
+
+def test_a_map_of_another_encoder_is_refused() -> None:
+    rng, n = np.random.default_rng(2), 10000
+    phi = np.mod(np.arange(n) * 2e-4 * 2 * np.pi * 100.0, 2 * np.pi)
+    map_ = replace(runout_map(), rms_after=np.full(2, 3e-8))
+    for turned, fits in ((0.0, True), (0.9, False)):
+        p = map_.evaluate(phi + turned) + 3e-8 * rng.standard_normal((n, 2))
+        still = Recording({"p": p, "phi": phi[:, None]}, 2e-4, conditions={"speed_rpm": 6000.0}, name="still")
+        still = replace(still, channels={**still.channels, "p": map_.channels})
+        if fits:
+            assert chain_of(design("P"), runout_maps=[map_], still=[still]).maps
+        else:
+            with pytest.raises(DataError, match=r"rotated by 51.*the encoder missed its index"):
+                chain_of(design("P"), runout_maps=[map_], still=[still])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"limit_m": 0.0}, "limit_m = 0.0; give a positive number"),
+        ({"number": "half"}, "choose 'double' or 'float'"),
+        ({"median": 5}, r"median = 5; choose 1 \(none\) or 3"),
+        ({"zero_m": (0.0, float("nan"))}, "give two finite numbers"),
+        ({"spike_limit_m": -1.0}, "or null for none"),
+        ({"stuck_speed_rpm": -1.0}, "at least zero"),
+    ],
+)
+def test_options_without_a_meaning(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        ChainOptions(**options)  # type: ignore[arg-type]
+
+
+def test_without_a_compiler_the_compiled_chain_says_what_to_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    from gbid.compiling import compiler, load_library
+
+    monkeypatch.setenv("CC", "no-such-compiler")
+    compiler.find_compiler.cache_clear()
+    load_library.cache_clear()
+    try:
+        with pytest.raises(UsageError, match=r"no C compiler found .no-such-compiler.*install one"):
+            CompiledChain(chain_of(design("P")))
+    finally:
+        monkeypatch.undo()
+        compiler.find_compiler.cache_clear()
+
+
+def test_a_controller_file_has_no_map_and_says_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "damper.yaml"
+    gbid.save_controller(path, controller_structure("biquad"), BIQUAD, name="damper")
+    assert run("export", path, "--to", "c", "--output", tmp_path) == 0
+    header = (tmp_path / "controller_damper.h").read_text()
+    assert "it holds no run-out map. A shaft that turns needs one." in header

@@ -1,0 +1,223 @@
+"""The generated source: compilers, sanitizers, MISRA checker, S-function, and an emulated microcontroller."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+from chain_cases import KINDS, design, grid_of_maps, runout_map
+
+from gbid.errors import UsageError
+from gbid.target import Chain, ChainInput, ChainOptions, PythonChain, chain_of, write_chain
+from gbid.target.emulated import missing_tools, run_emulated
+from gbid.target.selftest_rows import selftest_rows
+
+COMPILERS = ("gcc", "clang")
+WARNINGS = ("all", "extra", "conversion", "double-promotion", "shadow", "undef", "error")
+STRICT = ["-std=c99", "-O2", "-pedantic", *(f"-W{word}" for word in WARNINGS)]
+DEVIATIONS = {
+    "2.5": "macros of modes and status are for the program that calls the chain",
+    "8.9": "tables stand together at the top of the file, not within the only function that uses each",
+    "12.1": "the checker asks for a cast around sums in a conditional expression",
+}
+"""Advisory rules of MISRA C:2012 from which the source deviates, and why."""
+
+
+def compiler(name: str) -> str:
+    if shutil.which(name) is None:
+        pytest.skip(f"{name} is not installed")
+    return name
+
+
+def written(folder: Path, kind: str = "biquad", number: str = "double", maps: str = "harmonics", **further) -> Chain:
+    found = {"none": (), "harmonics": (runout_map(),), "bins": (runout_map("bins"),), "grid": grid_of_maps()}[maps]
+    options = ChainOptions(number=number, ramp_s=0.1, fade_s=0.05, **further)  # type: ignore[arg-type]
+    chain = chain_of(design(kind), runout_maps=found, options=options)
+    write_chain(chain, folder)
+    return chain
+
+
+def done(*command: object, folder: Path) -> str:
+    ran = subprocess.run([str(c) for c in command], cwd=folder, capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr + ran.stdout
+    return ran.stdout + ran.stderr
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+@pytest.mark.parametrize(
+    ("kind", "number", "maps", "further"),
+    [
+        ("P", "float", "none", {}),
+        ("P", "double", "grid", {"median": 3}),
+        ("biquad", "float", "harmonics", {"spike_limit_m": None}),
+        ("biquad", "double", "bins", {}),
+        ("scheduled", "float", "grid", {"median": 3, "spike_limit_m": None}),
+        ("scheduled", "double", "bins", {"zero_m": (1e-7, -2e-7)}),
+    ],
+)
+def test_compilers_have_nothing_to_say_and_the_self_test_passes(
+    name: str, kind: str, number: str, maps: str, further: dict[str, object], tmp_path: Path
+) -> None:
+    cc = compiler(name)
+    written(tmp_path, kind, number, maps, **further)
+    done(cc, *STRICT, "-ffreestanding", "-c", "damper.c", folder=tmp_path)
+    for optimise in ("-O0", "-O3"):
+        flags = [*STRICT, optimise, "-ffp-contract=off", "-DDAMPER_SELFTEST_MAIN"]
+        done(cc, *flags, "damper.c", "damper_selftest.c", "-o", "selftest", folder=tmp_path)
+        assert "rows agree" in done("./selftest", folder=tmp_path)
+
+
+@pytest.mark.parametrize("name", COMPILERS)
+def test_address_and_undefined_behaviour_sanitizers_find_nothing(name: str, tmp_path: Path) -> None:
+    cc = compiler(name)
+    written(tmp_path, "scheduled", "float", "grid", median=3)
+    flags = ["-std=c99", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
+    done(cc, *flags, "-DDAMPER_SELFTEST_MAIN", "damper.c", "damper_selftest.c", "-o", "selftest", folder=tmp_path)
+    assert "rows agree" in done("./selftest", folder=tmp_path)
+
+
+def test_the_self_test_fails_when_the_chain_is_changed(tmp_path: Path) -> None:
+    cc = compiler("gcc")
+    written(tmp_path)
+    source = tmp_path / "damper.c"
+    text = source.read_text()
+    row = re.search(r"controller_table\[1\]\[\d+\] = \{\n    \{ ([\d.e-]+)", text)
+    assert row is not None
+    for old, new in (
+        (row[1], repr(float(row[1]) * (1 + 1e-15))),  # a bit in a gain
+        ("base - r[1]", "base + r[1]"),
+        ("state->bad >= 5", "state->bad >= 6"),
+        ("turned = (cos_n * cos_1) - (sin_n * sin_1)", "turned = (cos_n * cos_1) + (sin_n * sin_1)"),
+    ):
+        assert old in text
+        source.write_text(text.replace(old, new, 1))
+        flags = ("-std=c99", "-DDAMPER_SELFTEST_MAIN")
+        done(cc, *flags, "damper.c", "damper_selftest.c", "-o", "selftest", folder=tmp_path)
+        assert subprocess.run(["./selftest"], cwd=tmp_path, capture_output=True, check=False).returncode == 1, old
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_misra_checker(kind: str, tmp_path: Path) -> None:
+    if shutil.which("cppcheck") is None:
+        pytest.skip("cppcheck is not installed")
+    written(tmp_path, kind, "float", {"P": "bins", "biquad": "harmonics", "scheduled": "grid"}[kind], median=3)
+    ran = subprocess.run(
+        ["cppcheck", "--addon=misra", "--std=c99", "--enable=warning,style", "--inconclusive", "-q", "damper.c"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    if "Did not find addon" in ran.stdout + ran.stderr:
+        pytest.skip("the misra addon of cppcheck is not installed")
+    rules = set(re.findall(r"\[misra-c2012-([\d.]+)\]", ran.stderr))
+    assert rules <= set(DEVIATIONS), ran.stderr
+    assert "8.9" in rules  # the checker has looked
+    others = [line for line in ran.stderr.splitlines() if re.search(r"\[(?!misra)\w+\]$", line)]
+    assert others == []
+
+
+SIMSTRUC = """\
+#include <string.h>
+typedef double real_T; typedef int int_T; typedef unsigned char uint8_T;
+typedef struct {
+  double u[6]; double y0[4]; double y1[2]; double y2[2]; unsigned char work[4096]; double T; int width;
+} SimStruct;
+#define SS_DOUBLE 0
+#define SS_UINT8 3
+#define SS_DWORK_USED_AS_DSTATE 1
+#define SS_OPTION_EXCEPTION_FREE_CODE 1
+#define ssSetNumSFcnParams(S, n) ((void)(S))
+#define ssGetNumSFcnParams(S) 0
+#define ssGetSFcnParamsCount(S) 0
+#define ssSetNumInputPorts(S, n) ((n) == 1)
+#define ssSetNumOutputPorts(S, n) ((n) == 3)
+#define ssSetInputPortWidth(S, p, n) ((void)(S))
+#define ssSetInputPortDataType(S, p, n) ((void)(S))
+#define ssSetInputPortRequiredContiguous(S, p, n) ((void)(S))
+#define ssSetInputPortDirectFeedThrough(S, p, n) ((void)(S))
+#define ssSetOutputPortWidth(S, p, n) ((void)(S))
+#define ssSetNumSampleTimes(S, n) ((void)(S))
+#define ssSetNumDWork(S, n) ((void)(S))
+#define ssSetDWorkWidth(S, i, n) ((S)->width = (n))
+#define ssSetDWorkDataType(S, i, t) ((void)(S))
+#define ssSetDWorkUsageType(S, i, t) ((void)(S))
+#define ssSetOptions(S, o) ((void)(S))
+#define ssSetSampleTime(S, i, t) ((S)->T = (t))
+#define ssSetOffsetTime(S, i, t) ((void)(S))
+#define ssGetDWork(S, i) ((void *)(S)->work)
+#define ssGetInputPortSignal(S, p) ((const void *)(S)->u)
+#define ssGetOutputPortSignal(S, p) ((void *)((p) == 0 ? (S)->y0 : (p) == 1 ? (S)->y1 : (S)->y2))
+"""
+"""Stub of Simulink's simstruc.h: what the wrapper uses of it, with ports as plain arrays."""
+CALLS = """\
+#include <stdio.h>
+int main(void) {
+  static SimStruct s;
+  mdlInitializeSizes(&s); mdlInitializeSampleTimes(&s); mdlStart(&s);
+  for (int k = 0; k < 4000; k++) {
+    s.u[0] = 1e-6 + 1e-9 * (k % 2); s.u[1] = -2e-6 - 1e-9 * (k % 2); s.u[2] = 0.1 * (k % 60);
+    s.u[3] = 6; s.u[4] = 6000; s.u[5] = 2;
+    mdlOutputs(&s, 0);
+  }
+  mdlTerminate(&s);
+  printf("%d %.17g %.17g %.17g %.17g %.17g\\n", s.width, s.T, s.y0[0], s.y0[1], s.y1[0], s.y2[0]);
+  return 0;
+}
+"""
+
+
+def test_the_s_function_runs_against_a_stub_of_simulink(tmp_path: Path) -> None:
+    cc = compiler("gcc")
+    chain = written(tmp_path, "biquad", "double")
+    (tmp_path / "simstruc.h").write_text(SIMSTRUC)
+    (tmp_path / "cg_sfun.h").write_text(CALLS)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-I."]
+    done(cc, *flags, "damper_sfun.c", "damper.c", "-o", "sfun", folder=tmp_path)
+    width, sample_time, *values = done("./sfun", folder=tmp_path).split()
+    twin = PythonChain(chain)
+    for k in range(4000):
+        move = 1e-9 * (k % 2)
+        last = twin.step(ChainInput((1e-6 + move, -2e-6 - move), 0.1 * (k % 60), 6.0, 6000.0))
+    assert (int(width), float(sample_time)) == (200, 2e-4)
+    assert [float(v) for v in values] == [last.stack[0], last.stack[1], last.reference[0], 0.0]
+    assert last.reference[0] != 0
+
+
+@pytest.mark.skipif(bool(missing_tools()), reason=f"not installed: {', '.join(missing_tools())}")
+@pytest.mark.parametrize(
+    ("kind", "number", "most"),
+    [("P", "float", 700), ("biquad", "float", 750), ("scheduled", "float", 1600), ("biquad", "double", 20000)],
+)
+def test_it_runs_on_an_emulated_cortex_m4f(kind: str, number: str, most: float) -> None:
+    options = ChainOptions(number=number, ramp_s=0.1, fade_s=0.05)  # type: ignore[arg-type]
+    chain = chain_of(design(kind), runout_maps=[runout_map()], options=options)
+    run = run_emulated(chain, selftest_rows(chain))
+    assert run.wrong_row == 0
+    assert 300 < run.instructions < most
+    assert run.largest_rate_hz == pytest.approx(170e6 / 2 / max(run.instructions, run.saturated, run.faulty))
+    if number == "float":
+        assert abs(run.saturated - run.instructions) < 0.05 * run.instructions
+        assert run.faulty < run.instructions
+    assert run.code_bytes < 8000
+    assert run.lines()[2].startswith("Largest rate at 170 MHz, computed with 2 cycles per instruction, not measured: ")
+
+
+@pytest.mark.skipif(bool(missing_tools()), reason=f"not installed: {', '.join(missing_tools())}")
+def test_the_header_says_what_was_counted(tmp_path: Path) -> None:
+    chain = chain_of(design("P"), options=ChainOptions(number="float", ramp_s=0.1, fade_s=0.05))
+    write_chain(chain, tmp_path, measure=True)
+    header = (tmp_path / "damper.h").read_text()
+    assert re.search(r"Cortex-M4F, gcc -O2, emulated: \d{3} instructions per sample", header)
+    assert f"Content key of the design: {chain.content_key}" in header
+
+
+def test_no_tools_no_count(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(os.environ, "PATH", str(tmp_path))
+    chain = chain_of(design("P"), options=ChainOptions(ramp_s=0.01, fade_s=0.01))
+    with pytest.raises(UsageError, match=r"counting instructions needs arm-none-eabi-gcc.*install gcc-arm-none-eabi"):
+        write_chain(chain, tmp_path / "out", measure=True)
