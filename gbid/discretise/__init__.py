@@ -3,7 +3,7 @@
 from gbid.discretise.delayed import Taps, delayed_taps
 from gbid.discretise.dual import Dual, constant, side_by_side
 from gbid.discretise.expm import Exponentials, exponentials, squarings_for
-from gbid.discretise.hold import Discrete, Hold, check_holds, discretise
+from gbid.discretise.hold import Discrete, Hold, check_holds, discretise, hold_response
 from gbid.discretise.look_ahead import look_ahead
 from gbid.discretise.propagate import propagate
 
@@ -18,6 +18,7 @@ __all__ = [
     "delayed_taps",
     "discretise",
     "exponentials",
+    "hold_response",
     "look_ahead",
     "propagate",
     "side_by_side",

@@ -8,6 +8,7 @@ from typing import Any, Literal, NamedTuple, get_args
 import casadi as ca
 import numpy as np
 
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.discretise.dual import Dual
 from gbid.discretise.expm import exponentials, squarings_for
 from gbid.errors import UsageError
@@ -47,6 +48,25 @@ def check_holds(hold: str | Sequence[str], n_inputs: int) -> tuple[Hold, ...]:
     if len(holds) != n_inputs:
         raise UsageError(f"intersample names {len(holds)} inputs; there are {n_inputs}")
     return holds  # type: ignore[return-value]
+
+
+def hold_response(cycles: FloatArray, holds: Sequence[str]) -> ComplexArray:
+    """Return the frequency response of the hold of each input.
+
+    Parameters
+    ----------
+    cycles : (n,) array
+        Frequencies times the sample time.
+    holds : sequence of {"zoh", "foh"}
+        Hold of each input.
+
+    Returns
+    -------
+    (n, n_inputs) complex array
+        ``(1 - exp(-s T)) / (s T)`` of the zero-order hold; of the first-order hold the square of its magnitude.
+    """
+    flat = np.sinc(cycles) * np.exp(-1j * np.pi * cycles)
+    return np.column_stack([flat if hold == "zoh" else np.sinc(cycles) ** 2 for hold in holds])
 
 
 def discretise(

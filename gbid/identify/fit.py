@@ -27,7 +27,7 @@ from gbid.identify.problem.assembly import Scope, assemble, automatic_window, fu
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
-from gbid.identify.start.start_values import start_values
+from gbid.identify.start.begin import begin_values
 from gbid.identify.status import FitStatus
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
@@ -45,7 +45,7 @@ def fit(
     criterion: Criterion | Literal["auto"] = "auto",
     horizon: int = 1,
     output_weights: Sequence[float] | None = None,
-    start: Mapping[str, float] | None = None,
+    start: Mapping[str, float] | Literal["data"] | None = None,
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     prior: Mapping[str, tuple[float, float]] | None = None,
@@ -85,8 +85,9 @@ def fit(
         Number of steps of the prediction; 1 in the paper.
     output_weights : sequence of float, optional
         Weight of the squared error of each output in the trace; default ones.
-    start : dict of str to float, optional
-        Start values. Others come from the structure, and for built-in structures from the data.
+    start : dict of str to float, or "data", optional
+        Start values. Others come from the structure, or from the data where the structure states none. With "data" all
+        come from the data, also those that the structure states.
     fixed : dict of str to float, optional
         Parameters with fixed values. A disturbance gain fixed at 0 is left out of the model.
     bounds : dict of str to (lower, upper), optional
@@ -142,20 +143,19 @@ def fit(
     in_names = as_names(structure.inputs if inputs is None else inputs)
     out_names = as_names(structure.outputs if outputs is None else outputs)
     hold = structure.intersample if intersample is None else intersample
-    parameters = _with_options(structure.parameters, start or {}, fixed or {}, bounds or {})
+    given = _given_starts(start)
+    parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {})
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
 
-    stated = {q.name: q.start for q in parameters if q.start is not None}
     if criterion == "auto":
         criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
     disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
-        begin = _within(parameters, start_values(structure, undisturbed, stated), set(stated))
-    structure = structure if in_names else without_inputs(structure)
-    asked = {**(start or {}), **(fixed or {})}
-    origin = {q.name: "user" if q.name in asked else "structure" if q.name in stated else "data" for q in parameters}
+        asked = {*given, *(fixed or {})}
+        first = begin_values(structure, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
+    structure, begin = structure if in_names else without_inputs(structure), first.values
 
     def attempt(samples: int | None, gain_held: bool = False) -> FitResult:
         used = _with_gain_held(structure, parameters) if gain_held else parameters
@@ -176,12 +176,12 @@ def fit(
         full = full_start(assembly, begin, disturbance_starts(disturbances, structure, begin, data, hold))
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
         lower, upper = unknown_bounds(problem, assembly, initial_state)
-        first = np.clip(unknowns, lower, upper)
+        inside = np.clip(unknowns, lower, upper)
 
         def run(begin: FloatArray) -> Solution:
             return solve(problem, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
 
-        solution, more = lowest_of_several(problem, run(first), (lower, upper), run)
+        solution, more = lowest_of_several(problem, run(inside), (lower, upper), run)
         options = FitOptions(
             inputs=in_names,
             outputs=out_names,
@@ -195,8 +195,8 @@ def fit(
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
         )
-        result = outcome(structure, used, data, assembly, problem, solution, full, origin, options)
-        return replace(result, notes=(*result.notes, *more, *decay_notes(data)))
+        result = outcome(structure, used, data, assembly, problem, solution, full, first.origin, options)
+        return replace(result, notes=(*result.notes, *more, *first.notes, *decay_notes(data)))
 
     # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -282,9 +282,10 @@ def _with_options(
     return tuple(changed)
 
 
-def _within(parameters: tuple[Parameter, ...], values: Mapping[str, float], stated: set[str]) -> dict[str, float]:
-    """Return start values with those from the data moved into their bounds; the caller's were checked before."""
-    return {
-        q.name: values[q.name] if q.name in stated else float(np.clip(values[q.name], q.lower, q.upper))
-        for q in parameters
-    }
+def _given_starts(start: Mapping[str, float] | str | None) -> dict[str, float]:
+    """Return the start values of the caller; none when they are to be found in the data."""
+    if isinstance(start, str):
+        if start != "data":
+            raise UsageError(f"start = {start!r}; give values by name, or 'data' to find all of them in the recordings")
+        return {}
+    return dict(start or {})

@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import brief
-from gbid.errors import UsageError
+from gbid.errors import DataError, UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
@@ -54,7 +54,8 @@ class MultiStart:
         Fit with the smallest loss, whatever its status. Its `multi_start` counts the others, and a note tells when it
         did not converge.
     losses : (n_starts,) array
-        Losses in the order of the starts, the first from the structure's own start; nan for a start that overflowed.
+        Losses in the order of the starts: the structure's own, the one from the data unless the structure's own was
+        found there, random ones. It is nan for a start that overflowed.
     converged : (n_starts,) boolean array
         Whether each fit converged.
     same_optimum : int
@@ -91,7 +92,7 @@ def fit_multistart(
     reach: float = 0.5,
     **options: Any,
 ) -> MultiStart:
-    """Return fits from the start of the structure and from random starts.
+    """Return fits from the start of the structure, from one found in the data, and from random starts.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def fit_multistart(
     recordings : Recording or sequence of Recording
         Recordings to fit.
     starts : int
-        Number of starts, with the structure's own.
+        Number of starts, with the structure's own and the one from the data.
     seed : int
         Seed of the random starts.
     reach : float
@@ -122,14 +123,17 @@ def fit_multistart(
     if starts < 1 or reach <= 0:
         raise UsageError(f"starts = {starts} must be at least 1 and reach = {reach} positive")
     first = fit(structure, recordings, **options)
+    results = [first]
+    if starts > 1 and "data" not in first.start_origin.values():
+        results += _from_data(structure, recordings, options)
     rng = np.random.default_rng(seed)
-    asked = dict(options.pop("start", None) or {})
+    given = options.pop("start", None)
+    asked = {} if isinstance(given, str) else dict(given or {})
     fixed = set(options.get("fixed") or {})
     bounds = options.get("bounds") or {}
     own = first.own_names
     centres = {own.get(name, name): first.start[name] for name in first.free}  # one draw for all values of a local one
-    results = [first]
-    for _ in range(starts - 1):
+    for _ in range(starts - len(results)):
         drawn = dict(asked)
         for q in structure.parameters:
             if q.name in fixed or q.fixed or q.name not in centres:
@@ -141,6 +145,14 @@ def fit_multistart(
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
         results.append(fit(structure, recordings, start=drawn, **options))
     return _summary(results, seed)
+
+
+def _from_data(structure: Structure, recordings: Recording | Sequence[Recording], options: Any) -> list[FitResult]:
+    """Return the fit from a start that is found in the data; none when the recordings do not suffice for that."""
+    try:
+        return [fit(structure, recordings, **{**options, "start": "data"})]
+    except DataError:
+        return []
 
 
 def _summary(results: Sequence[FitResult], seed: int) -> MultiStart:

@@ -94,7 +94,7 @@ class LinearStructure:
     name : str
         Name of the structure.
     parameters : sequence of Parameter
-        Parameters, each with a start value.
+        Parameters. Start values that are left out are estimated from the data.
     matrices : callable
         ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
         of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out, and B for

@@ -20,8 +20,7 @@ class Parameter:
     name : str
         A Python identifier.
     start : float or None
-        Start value of the fit, or value of a fixed parameter. With None the start value is estimated from the data,
-        which only the built-in structures support.
+        Start value of the fit, or value of a fixed parameter. With None the start value is estimated from the data.
     lower, upper : float
         Bounds of the estimate.
     fixed : bool

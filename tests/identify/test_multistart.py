@@ -90,6 +90,7 @@ def test_the_best_is_the_smallest_loss_whatever_its_status(rec, monkeypatch, tmp
         return fit(structure, recordings, **{**options, "max_iterations": next(limits)})
 
     monkeypatch.setattr("gbid.identify.multistart.fit", limited)
+    monkeypatch.setattr("gbid.identify.multistart._from_data", lambda *_: [])
     near = LinearStructure("near", [Parameter("w", 1.0, 0.5, 30.0), *WIDE.parameters[1:]], WIDE.matrices)
     monkeypatch.setattr(np.random, "default_rng", lambda seed: Fixed())
     found = fit_multistart(near, rec, starts=2, seed=0, window=None)
@@ -146,8 +147,9 @@ def test_starts_lie_within_bounds_and_reach(monkeypatch):
     options = {"max_iterations": 1, "window": None, "fixed": {"e": 1.0}}
     fit_multistart(structure, rec, starts=40, seed=0, reach=0.25, bounds={"a": (1.5, 6.0)}, **options)
     assert len(seen) == 40
-    drawn = {name: np.array([s[name] for s in seen[1:]]) for name in "abcd"}
-    assert all(set(s) == set("abcd") for s in seen[1:])
+    assert seen[:2] == [None, "data"]
+    drawn = {name: np.array([s[name] for s in seen[2:]]) for name in "abcd"}
+    assert all(set(s) == set("abcd") for s in seen[2:])
     for name, low, high in (("a", 1.5, 6.0), ("b", 3.0, 5.0), ("c", -0.25, 0.25), ("d", 0.45, 0.625)):
         assert low <= drawn[name].min() < low + 0.2 * (high - low), name
         assert high - 0.2 * (high - low) < drawn[name].max() <= high, name

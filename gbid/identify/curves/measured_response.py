@@ -9,7 +9,7 @@ import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import brief
-from gbid.discretise import check_holds
+from gbid.discretise import check_holds, hold_response
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import select
 from gbid.recording import Recording
@@ -128,7 +128,7 @@ def measured_response(
     variance = left[:, :, None] * cost[:, None, :] / (2 * max(averages - n_u, 1.0))
     hold: ComplexArray = np.ones((len(f), 1, n_u), complex)
     if intersample is not None:
-        hold = _hold_response(f * h, check_holds(intersample, n_u))[:, None, :]
+        hold = hold_response(f * h, check_holds(intersample, n_u))[:, None, :]
     return MeasuredResponse(
         frequency_hz=f,
         response=np.asarray(response / hold, complex),
@@ -191,9 +191,3 @@ def _spectra(records: Sequence[FloatArray], length: int) -> tuple[ComplexArray, 
             total += transform[:, :, None] * transform[:, None, :].conj()
             count += 1
     return np.asarray(total / max(count, 1), complex), count
-
-
-def _hold_response(cycles: FloatArray, holds: Sequence[str]) -> ComplexArray:
-    """Return the frequency response (n, n_inputs) of each hold, over the frequency times the sample time."""
-    flat = np.sinc(cycles) * np.exp(-1j * np.pi * cycles)
-    return np.column_stack([flat if hold == "zoh" else np.sinc(cycles) ** 2 for hold in holds])

@@ -82,6 +82,11 @@ def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, 
     return {**bearing_start(structure.bearing, records, data.sample_time), **given}
 
 
+def has_own_method(structure: Any) -> bool:
+    """Return whether there is a method to find start values that was made for the structure."""
+    return start_values.dispatch(type(structure)) is not start_values.dispatch(object)
+
+
 def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
     missing = [q.name for q in structure.parameters if q.name not in given]
     if missing:

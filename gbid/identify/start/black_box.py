@@ -1,0 +1,237 @@
+"""Black-box model of recordings by a subspace method in prediction form (PBSID): no start values, no structure."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.arrays import ComplexArray, FloatArray
+from gbid.errors import DataError
+from gbid.identify.data import Record
+
+_ENOUGH = 30_000  # largest number of rows of the regression
+_MOST_LAGS = 60  # largest number of past samples
+_FIRST_LAGS = 5  # smallest number of past samples
+
+
+@dataclass(frozen=True, eq=False)
+class BlackBox:
+    """Regression of the outputs on the past, and the state-space model that it contains.
+
+    Attributes
+    ----------
+    lags : int
+        Number of past samples of the regression.
+    auto : (lags, n_y, n_y) array
+        Coefficients of past outputs, the most recent one first.
+    cross : (lags, n_y, n_u) array
+        Coefficients of past inputs.
+    direct : (n_y, n_u) array
+        Coefficient of the present input.
+    regression : (n_z, n_z) array
+        Inverse of the sum of the products of the regressors, for the covariance of the coefficients. The regressors are
+        the past outputs and inputs by lag, then the present input. A constant for each record was estimated along.
+    noise : (n_y, n_y) array
+        Covariance of the residuals.
+    A : (order, order) array
+        State matrix in discrete time, without correction by measured outputs.
+    C : (n_y, order) array
+        Output matrix.
+    first_states : (n_records, order) array
+        State of each record at sample `lags`.
+    """
+
+    lags: int
+    auto: FloatArray
+    cross: FloatArray
+    direct: FloatArray
+    regression: FloatArray
+    noise: FloatArray
+    A: FloatArray
+    C: FloatArray
+    first_states: FloatArray
+
+    def response(self, z: ComplexArray) -> tuple[ComplexArray, FloatArray]:
+        """Return the response from inputs to outputs at points of the z-plane, and its standard deviation.
+
+        Parameters
+        ----------
+        z : (n,) complex array
+            Points ``exp(s T)``.
+
+        Returns
+        -------
+        response : (n, n_y, n_u) complex array
+            ``(I - sum auto_i z^-i)^-1 (direct + sum cross_i z^-i)``.
+        std : (n, n_y, n_u) array
+            Standard deviation of its absolute value, to first order.
+        """
+        n_y, n_u = self.direct.shape
+        powers = z[:, None] ** -np.arange(1, self.lags + 1)
+        left = np.linalg.inv(np.eye(n_y) - np.einsum("fi,iyz->fyz", powers, self.auto))
+        response = left @ (self.direct + np.einsum("fi,iyu->fyu", powers, self.cross))
+        # d response = left (d auto z^-i response + d cross z^-i + d direct): linear in each row of coefficients
+        spread = np.zeros(response.shape)
+        outer = np.einsum("fya,ab,fyb->fy", left, self.noise, left.conj()).real
+        for j in range(n_u):
+            past_y = (powers[:, :, None] * response[:, None, :, j]).reshape(len(z), -1)
+            one = np.zeros(n_u)
+            one[j] = 1.0
+            past_u = (powers[:, :, None] * one).reshape(len(z), -1)
+            row = np.hstack([past_y, past_u, np.broadcast_to(one, (len(z), n_u))])[:, : len(self.regression)]
+            size = np.einsum("fa,ab,fb->f", row, self.regression, row.conj()).real
+            spread[:, :, j] = np.sqrt(np.maximum(outer * size[:, None], 0.0) / 2)
+        return response, spread
+
+
+def black_box(records: Sequence[Record], order: int, *, feedthrough: bool, lags: int | None = None) -> BlackBox:
+    """Return a black-box model of records, with inputs or as free decays.
+
+    Parameters
+    ----------
+    records : sequence of Record
+        The records. Without inputs they are free decays.
+    order : int
+        Number of states.
+    feedthrough : bool
+        Whether an input acts on the outputs within the same sample.
+    lags : int, optional
+        Number of past samples; by default the one with the smallest information criterion.
+
+    Returns
+    -------
+    BlackBox
+
+    Raises
+    ------
+    DataError
+        When the records are too short.
+
+    Notes
+    -----
+    The outputs are regressed on the past of outputs and inputs. This predictor is stable also for an unstable plant,
+    and consistent in a closed loop and with coloured noise, when the past is long enough. Its coefficients are the
+    Markov parameters ``C (A - K C)^(i-1) [K B]`` of the predictor, from which the product of observability matrix and
+    state follows; a singular value decomposition gives the states, and two least-squares problems the matrices (Chiuso,
+    "The role of vector autoregressive modeling in predictor-based subspace identification", Automatica 43, 2007). For
+    free decays the same is a stochastic subspace method.
+    """
+    n_y, n_u = records[0].outputs.shape[1], records[0].inputs.shape[1]
+    rows = sum(r.n_samples for r in records)
+    most = min(_MOST_LAGS, rows // (4 * (n_y + n_u)), min(r.n_samples for r in records) // 3)
+    least = max(_FIRST_LAGS, order // n_y + 2)
+    if most < least:
+        raise DataError(
+            f"{rows} samples are too few for a black-box model of {order} states, which start values would come from; "
+            "record for longer, or give start values"
+        )
+    scale_y = np.concatenate([r.outputs for r in records]).std(0)
+    scale_u = np.concatenate([r.inputs for r in records]).std(0)
+    scale_u = np.where(scale_u > 0, scale_u, 1.0)
+    scaled = [(r.outputs[:_ENOUGH] / scale_y, r.inputs[:_ENOUGH] / scale_u) for r in records]
+    tried = {p: _regress(scaled, p, most, feedthrough) for p in ([lags] if lags else _lag_choices(least, most))}
+    found = min(tried.values(), key=lambda each: each.criterion)
+    return _states(scaled, found, order, (scale_y, scale_u))
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    lags: int
+    coefficients: FloatArray  # (n_z, n_y)
+    inverse: FloatArray  # (n_z, n_z)
+    noise: FloatArray  # (n_y, n_y)
+    triangle: FloatArray  # R of the past without the present input
+    criterion: float
+
+
+def _lag_choices(least: int, most: int) -> list[int]:
+    choices = {most}
+    p = least
+    while p < most:
+        choices.add(p)
+        p = max(p + 1, int(1.6 * p))
+    return sorted(choices)
+
+
+def _past(y: FloatArray, u: FloatArray, lags: int, first: int, last: int) -> FloatArray:
+    """Return the past outputs and inputs of the samples `first` to `last - 1`, by lag."""
+    parts = [y[first - i : last - i] for i in range(1, lags + 1)] + [
+        u[first - i : last - i] for i in range(1, lags + 1)
+    ]
+    return np.hstack(parts)
+
+
+def _regress(scaled: Sequence[tuple[FloatArray, FloatArray]], lags: int, skip: int, feedthrough: bool) -> _Regression:
+    Z = np.vstack([_past(y, u, lags, skip, len(y)) for y, u in scaled])
+    now = np.vstack([u[skip:] for _, u in scaled])
+    Y = np.vstack([y[skip:] for y, _ in scaled])
+    constants = _constants(scaled, skip)
+    X = np.hstack([Z, *([now] if feedthrough else []), constants])
+    Q, R = np.linalg.qr(X)
+    # Directions that the data do not excite, as in a free decay without noise, get no part of the coefficients.
+    U, S, Vt = np.linalg.svd(R)
+    keep = 1e-9 * S[0] < S
+    pseudo = (Vt[keep].T / S[keep]) @ U[:, keep].T
+    coefficients = pseudo @ (Q.T @ Y)
+    left = Y - X @ coefficients
+    n = len(Y)
+    noise = left.T @ left / max(n - int(keep.sum()), 1)
+    _, log_det = np.linalg.slogdet(noise + 1e-24 * np.eye(Y.shape[1]))
+    criterion = n * float(log_det) + 2 * int(keep.sum()) * Y.shape[1]
+    own = X.shape[1] - constants.shape[1]
+    return _Regression(lags, coefficients[:own], (pseudo @ pseudo.T)[:own, :own], noise, R[:, : Z.shape[1]], criterion)
+
+
+def _constants(scaled: Sequence[tuple[FloatArray, FloatArray]], skip: int) -> FloatArray:
+    """Return a column of ones for each record: its offsets. A free decay has none, as it ends at rest."""
+    counts = [len(y) - skip for y, _ in scaled]
+    if not scaled[0][1].shape[1]:
+        return np.zeros((sum(counts), 0))
+    return np.repeat(np.eye(len(scaled)), counts, axis=0)
+
+
+def _states(
+    scaled: Sequence[tuple[FloatArray, FloatArray]],
+    found: _Regression,
+    order: int,
+    scales: tuple[FloatArray, FloatArray],
+) -> BlackBox:
+    """Return states, state matrix and output matrix from the Markov parameters of the predictor."""
+    p, (scale_y, scale_u) = found.lags, scales
+    n_y, n_u = len(scale_y), len(scale_u)
+    auto = found.coefficients[: p * n_y].T.reshape(n_y, p, n_y).transpose(1, 0, 2)
+    cross = found.coefficients[p * n_y : p * (n_y + n_u)].T.reshape(n_y, p, n_u).transpose(1, 0, 2)
+    direct = found.coefficients[p * (n_y + n_u) :].T if len(found.coefficients) > p * (n_y + n_u) else None
+    D = np.zeros((n_y, n_u)) if direct is None else direct
+    blocks = np.zeros((p, n_y, p * (n_y + n_u)))
+    for i in range(p):
+        blocks[i, :, : (p - i) * n_y] = auto[i:].transpose(1, 0, 2).reshape(n_y, -1)
+        blocks[i, :, p * n_y : p * n_y + (p - i) * n_u] = cross[i:].transpose(1, 0, 2).reshape(n_y, -1)
+    H = blocks.reshape(p * n_y, -1)
+    U, S, _ = np.linalg.svd(H @ found.triangle.T, full_matrices=False)
+    n = min(order, int((1e-12 * S[0] < S).sum()))
+    project = (U[:, :n] / np.sqrt(S[:n])).T @ H
+    states = [_past(y, u, p, p, len(y)) @ project.T for y, u in scaled]
+    inputs = [u[p:] for _, u in scaled]
+    outputs = np.vstack([y[p:] - u @ D.T for (y, _), u in zip(scaled, inputs, strict=True)])
+    known = np.hstack([np.vstack(states), _constants(scaled, p)])
+    rows = np.linalg.lstsq(known, outputs, rcond=None)[0]
+    C, errors = rows[:n].T, outputs - known @ rows
+    now = np.hstack([known, np.vstack(inputs), errors])
+    last = np.cumsum([len(x) for x in states]) - 1  # these samples have no following one
+    following = np.delete(np.vstack(states), [0, *(last[:-1] + 1)], axis=0)
+    A = np.linalg.lstsq(np.delete(now, last, axis=0), following, rcond=None)[0][:n].T
+    size = np.concatenate([np.tile(scale_y, p), np.tile(scale_u, p), scale_u if direct is not None else []])
+    return BlackBox(
+        lags=p,
+        auto=auto * scale_y[:, None] / scale_y,
+        cross=cross * scale_y[:, None] / scale_u,
+        direct=D * scale_y[:, None] / scale_u,
+        regression=found.inverse / np.outer(size, size),
+        noise=found.noise * np.outer(scale_y, scale_y),
+        A=A,
+        C=C * scale_y[:, None],
+        first_states=np.array([x[0] for x in states]),
+    )

@@ -1,0 +1,219 @@
+"""Start values of any linear structure from the data alone: black-box model, match, and the fits from there."""
+
+import numpy as np
+import pytest
+from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, fit_data, innovations, levels, simulated
+from start_cases import (
+    CASES,
+    CHAIN_AT,
+    LATE_LAG,
+    LEVITATION,
+    LEVITATION_AT,
+    PENDULUM,
+    PENDULUM_AT,
+    chain,
+    levitated,
+    swings,
+)
+
+from gbid.errors import DataError, UsageError
+from gbid.identify import fit, fit_multistart
+from gbid.identify.data import Record, gather
+from gbid.identify.predictor import build_predictor
+from gbid.identify.start.black_box import black_box
+from gbid.identify.start.match import Target, _residual, match
+from gbid.identify.start.subspace_start import subspace_start
+from gbid.structure import LinearStructure, Parameter, RotorBearing, evaluate
+
+BY_NAME = {case.name: case for case in CASES}
+
+
+def record_of(recording, inputs=("u",), outputs=("y",)):
+    return gather([recording], inputs, outputs, 10).records[0]
+
+
+def poles_of(found, h):
+    return np.sort_complex(np.log(np.linalg.eigvals(found.A).astype(complex)) / h)
+
+
+def test_data_without_noise_give_the_model_exactly():
+    rec = record_of(simulated(EVERY, EVERY_AT, np.random.default_rng(5).normal(size=(800, 2))))
+    found = black_box([rec], 2, feedthrough=True)
+    model = evaluate(EVERY, EVERY_AT)
+    np.testing.assert_allclose(poles_of(found, H), np.sort_complex(model.poles()), rtol=1e-8)
+    f = np.array([0.05, 0.5, 3.0])
+    response, _ = found.response(np.exp(2j * np.pi * f * H))
+    np.testing.assert_allclose(response, model.discretise(H).frequency_response(f), rtol=1e-8)
+
+
+def test_an_offset_of_each_record_does_no_harm():
+    recs = [record_of(simulated(EVERY, EVERY_AT, levels(500, 2, seed=i))) for i in range(2)]
+    moved = [Record(r.name, r.inputs + 0.7 * i, r.outputs + np.array([3.0, -5.0 * i])) for i, r in enumerate(recs, 1)]
+    found = black_box(moved, 2, feedthrough=True)
+    np.testing.assert_allclose(poles_of(found, H), np.sort_complex(evaluate(EVERY, EVERY_AT).poles()), rtol=1e-7)
+
+
+def test_std_of_the_black_box_is_its_scatter():
+    """With errors of the prediction that are white, as the disturbance gain makes them."""
+    f = np.array([0.3, 0.6, 1.5, 4.0])
+    truth = evaluate(EVERY, EVERY_AT).discretise(H).frequency_response(f)
+    z = []
+    for seed in range(40):
+        u = np.random.default_rng(seed).normal(size=(2000, 2))
+        rec = record_of(innovations(EVERY, EVERY_AT, u, noise=0.3, seed=seed + 900))
+        response, std = black_box([rec], 2, feedthrough=True, lags=12).response(np.exp(2j * np.pi * f * H))
+        z.append([((response - truth) / std).real, ((response - truth) / std).imag])
+    assert 0.85 < np.sqrt(np.square(z).mean()) < 1.15
+
+
+def test_an_unstable_plant_in_a_closed_loop():
+    rec = record_of(levitated(0))
+    found = black_box([rec], 3, feedthrough=False)
+    truth = np.sort_complex(evaluate(LEVITATION, LEVITATION_AT).poles())
+    assert truth.real.max() == pytest.approx(50)
+    np.testing.assert_allclose(poles_of(found, 1e-3).real, truth.real, rtol=0.1)
+
+
+def test_free_decays_of_several_records_share_their_poles():
+    records = gather(swings(0), (), ("y",), 10).records
+    found = black_box(records, 3, feedthrough=False)
+    assert found.first_states.shape == (2, 3)
+    truth = np.sort_complex(evaluate(PENDULUM, PENDULUM_AT).poles())
+    np.testing.assert_allclose(poles_of(found, 0.02), truth, rtol=0.1)
+
+
+def test_too_few_samples_are_refused():
+    with pytest.raises(DataError, match="12 samples are too few for a black-box model of 2 states"):
+        black_box(fit_data([(levels(12), levels(12, seed=1))]).records, 2, feedthrough=False)
+
+
+def exact_target(structure, truth, f, decays=False):
+    model = evaluate(structure, truth)
+    s = 2j * np.pi * f
+    if decays:
+        x0 = np.array([[1.0, 0.0], [0.0, 1.0], [0.5, -1.0]])
+        response = model.C @ np.linalg.inv(s[:, None, None] * np.eye(3) - model.A) @ x0
+    else:
+        response = model.frequency_response(f)
+    return Target(s, response, 1 / np.abs(response), model.poles(), decays)
+
+
+@pytest.mark.parametrize("decays", [False, True])
+def test_slopes_of_the_match_are_those_of_its_residuals(decays):
+    structure, truth = (PENDULUM, PENDULUM_AT) if decays else (LATE_LAG, {"gain": -3.0, "T": 0.4, "dead_time": 0.2})
+    predictor = build_predictor(structure, {}, 0.1, "zoh", "simulation")
+    target = exact_target(structure, truth, np.geomspace(0.05, 3, 12), decays)
+    theta = np.array([truth[q.name] * 1.3 for q in predictor.free])
+    for equation in (False, True):
+        value, slope = _residual(predictor, target, theta, equation)
+        for k in range(len(theta)):
+            step = np.zeros(len(theta))
+            step[k] = 1e-6 * theta[k]
+            change = (
+                _residual(predictor, target, theta + step, equation)[0]
+                - _residual(predictor, target, theta - step, equation)[0]
+            )
+            found, expected = slope[k], change / (2 * step[k])
+            if decays:  # the form of Kaufman has the gradient of the cost, not the slopes themselves
+                found, expected = (np.vdot(value, each).real for each in (found, expected))
+            np.testing.assert_allclose(found, expected, rtol=1e-4, atol=1e-6 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("factor", [1e-4, 1e4])
+def test_a_match_finds_its_way_from_far_off(factor):
+    """One start, all parameters wrong by four decades, and five modes; the response itself is flat there."""
+    structure = chain(5)
+    truth = {**{f"k{i}": 4e3 + 900.0 * i for i in range(5)}, **{f"d{i}": 1.0 + 0.2 * i for i in range(5)}, "b": 500.0}
+    predictor = build_predictor(structure, {}, 5e-3, "zoh", "simulation")
+    at = np.array([truth[q.name] for q in predictor.free])
+    bounds = np.zeros(len(at)), np.full(len(at), np.inf)
+    target = exact_target(structure, truth, np.geomspace(0.5, 60, 120))
+    found = match(predictor, target, [at * factor], *bounds)
+    assert found.misfit < 1e-6
+    np.testing.assert_allclose(found.theta, at, rtol=1e-4)
+
+
+@pytest.mark.parametrize("name", BY_NAME)
+def test_starts_from_the_data_lead_to_the_best_loss(name):
+    case = BY_NAME[name]
+    data = case.make(0)
+    found = fit(case.structure, data, start="data", **case.options)
+    near = fit(case.structure, data, start=case.truth, **case.options)
+    assert found.status.success
+    assert found.loss <= near.loss * (1 + 1e-6)
+    assert set(found.start_origin.values()) == {"data"}
+    told = [note for note in found.notes if "by a subspace model" in note]
+    assert len(told) == (
+        0 if name in ("rotor in a gas bearing", "piezo pair") else 1
+    )  # these have a method of their own
+
+
+@pytest.mark.parametrize("name", ["rotor in a gas bearing", "piezo pair"])
+def test_the_built_in_structures_can_be_started_in_the_same_way(name):
+    case = BY_NAME[name]
+    structure = case.structure
+    data = gather([case.make(1)], structure.inputs, structure.outputs, 10)
+    found = subspace_start(structure, data, structure.parameters, structure.intersample)
+    result = fit(structure, case.make(1), start=found.values)
+    assert result.status.success
+    assert result.loss <= fit(structure, case.make(1), start=case.truth).loss * (1 + 1e-6)
+    assert found.misfit < 0.05
+
+
+def test_stated_starts_and_fixed_values_are_kept():
+    structure = LinearStructure(
+        "chain", [*chain(3).parameters[:-1], Parameter("b", 480.0)], chain(3).matrices, "u", "y"
+    )
+    rec = BY_NAME["chain of 3"].make(0)
+    result = fit(structure, rec, fixed={"d0": 1.0}, max_iterations=1)
+    assert result.start["b"] == 480.0
+    assert (result.start["d0"], result.parameters["d0"]) == (1.0, 1.0)
+    assert (result.start_origin["b"], result.start_origin["d0"], result.start_origin["k0"]) == (
+        "structure",
+        "user",
+        "data",
+    )
+    assert result.start["k1"] == pytest.approx(CHAIN_AT["k1"], rel=0.1)
+    assert any(note.startswith("start values of k0, k1, k2, d1, d2: from the data") for note in result.notes)
+
+
+def test_starts_stay_within_bounds():
+    rec = BY_NAME["chain of 3"].make(0)
+    result = fit(chain(3), rec, bounds={"k1": (1e3, 5e3), "d2": (3.0, 9.0)}, max_iterations=1)
+    assert 1e3 <= result.start["k1"] <= 5e3
+    assert 3.0 <= result.start["d2"] <= 9.0
+
+
+def test_a_structure_that_does_not_fit_says_so():
+    rec = simulated(MODE, {**MODE_AT, "z": 0.01}, levels(800), noise=0.1, seed=7)
+    lag = LinearStructure(
+        "lag", [Parameter("T", None, 0.0), Parameter("g")], lambda p: {"A": [[-p.T]], "B": [[p.g]], "C": [[1]]}
+    )
+    result = fit(lag, rec, focus="simulation", max_iterations=5)
+    assert any("try fit_multistart" in note for note in result.notes)
+
+
+def test_a_disturbance_gain_starts_at_zero():
+    structure = LinearStructure(
+        "mode", [Parameter(q.name, None, q.lower, q.upper) for q in MODE.parameters], MODE.matrices
+    )
+    rec = innovations(MODE, {**MODE_AT, "l1": 0.4, "l2": -0.3}, levels(900), noise=0.2)
+    result = fit(structure, rec)
+    assert (result.start["l1"], result.start["l2"]) == (0.0, 0.0)
+    assert result.parameters["w"] == pytest.approx(MODE_AT["w"], rel=0.01)
+
+
+def test_several_starts_try_the_one_from_the_data_second():
+    """Frequencies that are far off: no random start arrives, the one from the data does."""
+    wrong = {f"k{i}": 1.0 for i in range(3)} | {f"d{i}": 1e3 for i in range(3)} | {"b": 1e-3}
+    structure = LinearStructure("chain", [Parameter(n, v, 0.0) for n, v in wrong.items()], chain(3).matrices)
+    rec = BY_NAME["chain of 3"].make(0)
+    found = fit_multistart(structure, rec, starts=2, max_iterations=15)
+    assert len(found.losses) == 2
+    assert found.losses[1] == found.best.loss < 0.5 * found.losses[0]
+    assert set(found.best.start_origin.values()) == {"data"}
+
+
+def test_another_word_than_data_is_refused():
+    with pytest.raises(UsageError, match="start = 'zero'; give values by name, or 'data'"):
+        fit(RotorBearing(), levitated(0), start="zero")
