@@ -12,6 +12,7 @@ import pytest
 import gbid
 from gbid.cli.main import app
 from gbid.errors import DataError, UsageError
+from gbid.recording.importers import importing
 from gbid.recording.importers.peek import list_channels
 
 N, DT = 500, 2e-4
@@ -269,6 +270,7 @@ def test_a_package_that_is_not_installed(tmp_path, monkeypatch, capsys, kind, pa
     for module in [name for name in sys.modules if name.partition(".")[0] == package]:
         monkeypatch.delitem(sys.modules, module)
     monkeypatch.setitem(sys.modules, package, None)
+    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
     refused(path, STATED[kind], f"pip install 'gbid[{extra}]'", package, error=UsageError)
     with pytest.raises(SystemExit, match="2"):
         app(["import", "--peek", str(path)], prog_name="gbid")

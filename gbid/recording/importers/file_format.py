@@ -58,6 +58,9 @@ class FileFormat:
         this is faster than reading the file.
     states_sample_time : bool
         Whether such files may state the sample time of their channels, so that a mapping need not give it.
+    may_crash : bool
+        Whether the library that reads such files may crash, hang or fill the memory when a file is damaged. Its
+        functions then run in a process of their own.
     """
 
     endings: tuple[str, ...]
@@ -65,3 +68,4 @@ class FileFormat:
     channels: Callable[[Path], list[FileChannel]]
     peek: Callable[[Path, Sequence[str]], tuple[int, dict[str, FileColumn]]] | None = None
     states_sample_time: bool = False
+    may_crash: bool = False

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.file_units import file_unit, unit_factor
 from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
+from gbid.recording.importers.reader_process import read_apart
 from gbid.recording.importers.sample_time import sample_time_of
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
@@ -85,7 +88,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
 
 
 def file_format(path: Path) -> FileFormat:
-    """Return the format of a file, chosen by its ending.
+    """Return the format of a file, chosen by its ending; libraries that may crash run in a process of their own.
 
     Raises
     ------
@@ -96,7 +99,9 @@ def file_format(path: Path) -> FileFormat:
     found = known.get(path.suffix.lower())
     if found is None:
         raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
-    return found
+    if not found.may_crash:
+        return found
+    return replace(found, read=partial(read_apart, found.read), channels=partial(read_apart, found.channels))
 
 
 def _range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:

@@ -115,4 +115,4 @@ def _unit(field: Any) -> str | None:
     return name_and_unit(field.name)[1] if stated is None else stated
 
 
-FORMAT = FileFormat((".parquet", ".pq", ".feather", ".arrow"), read_arrow, arrow_channels)
+FORMAT = FileFormat((".parquet", ".pq", ".feather", ".arrow"), read_arrow, arrow_channels, may_crash=True)

@@ -111,4 +111,4 @@ def _unit(dataset: Any, field: str | None) -> str | None:
     return None
 
 
-FORMAT = FileFormat((".h5", ".hdf5"), read_hdf5, hdf5_channels)
+FORMAT = FileFormat((".h5", ".hdf5"), read_hdf5, hdf5_channels, may_crash=True)

@@ -112,4 +112,4 @@ def _rather(value: Any) -> str:
     return (f"name one of its fields, there is {', '.join(fields[:30])}; or " if fields else "") + SAVE_PLAIN
 
 
-FORMAT = FileFormat((".mat",), read_mat, mat_channels)
+FORMAT = FileFormat((".mat",), read_mat, mat_channels, may_crash=True)

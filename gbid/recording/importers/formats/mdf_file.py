@@ -138,4 +138,4 @@ def _invalid(signal: Any) -> np.ndarray[Any, Any]:
     return np.zeros(0, int) if bits is None else np.flatnonzero(bits)
 
 
-FORMAT = FileFormat((".mf4", ".mdf"), read_mdf, mdf_channels, states_sample_time=True)
+FORMAT = FileFormat((".mf4", ".mdf"), read_mdf, mdf_channels, states_sample_time=True, may_crash=True)

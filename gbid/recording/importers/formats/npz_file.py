@@ -82,4 +82,4 @@ def _opened(path: Path) -> Iterator[Any]:
         raise DataError(f"{path}: damaged npz archive: {error}") from None
 
 
-FORMAT = FileFormat((".npz",), read_npz, npz_channels)
+FORMAT = FileFormat((".npz",), read_npz, npz_channels, may_crash=True)

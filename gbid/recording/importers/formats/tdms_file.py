@@ -109,4 +109,4 @@ def _sample_time(channel: Any) -> float | None:
     return float(step) if isinstance(step, float | int) and step > 0 else None
 
 
-FORMAT = FileFormat((".tdms",), read_tdms, tdms_channels, states_sample_time=True)
+FORMAT = FileFormat((".tdms",), read_tdms, tdms_channels, states_sample_time=True, may_crash=True)
