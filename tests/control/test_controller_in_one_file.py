@@ -50,7 +50,7 @@ def lead(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
 
 
 def test_it_is_found_by_its_name(lead) -> None:
-    assert list(built_in_structures()) == ["P", "PD", "biquad", "lead"]
+    assert {"P", "PD", "biquad", "lead"} < set(built_in_structures())
     names = [gain.name for gain in gbid.controller_structure("lead").parameters]
     assert names == ["kappa_x", "kappa_y", "zero_x", "zero_y"]
     with pytest.raises(UsageError, match=r"unknown option speed; there are .*longest_ms"):
@@ -81,5 +81,5 @@ def test_the_yaml_knows_it(lead, tmp_path: Path) -> None:
 
 
 def test_without_the_file_it_is_unknown() -> None:
-    with pytest.raises(UsageError, match="controller = 'lead'; choose 'P', 'PD', 'biquad' or give a structure"):
+    with pytest.raises(UsageError, match=r"controller = 'lead'; choose 'P', .* or give a structure"):
         gbid.controller_structure("lead")

@@ -140,7 +140,7 @@ def test_scheduled_matrices_take_symbols() -> None:
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: gbid.controller_structure("PID"), "controller = 'PID'; choose 'P', 'PD', 'biquad'"),
+        (lambda: gbid.controller_structure("PIDD"), "controller = 'PIDD'; choose 'P', 'PD'"),
         (lambda: gbid.controller_structure(3), "controller = 3; choose"),
         (lambda: gbid.controller_structure("P", corner=3), "unknown option corner; there are lowpass_hz, order"),
         (lambda: gbid.controller_structure("P", lowpass_hz=-1.0), "lowpass_hz = -1.0; give a positive number"),

@@ -294,7 +294,7 @@ def test_an_unstable_open_loop_is_named() -> None:
         ({"bounds": {"kappa_x": (1, 0)}}, "lower first"),
         ({"start": {"kapa_x": 1.0}}, "no gain kapa_x"),
         ({"slowest_pole": -1.0}, "slowest_pole"),
-        ({"controller": "PID"}, "PID"),
+        ({"controller": "PIDD"}, "PIDD"),
         ({"actuator": {"p1_x": 3000.0}}, "no actuator"),
     ],
 )

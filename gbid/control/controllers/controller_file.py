@@ -21,9 +21,9 @@ from gbid.control.controllers.controller_table import (
     parse,
 )
 from gbid.control.controllers.design import ControllerDesign, Point
-from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
-from gbid.control.controllers.scheduled import Scheduled, scheduled
-from gbid.control.controllers.structures import controller_structure
+from gbid.control.controllers.per_axis import NOT_OPTIONS
+from gbid.control.controllers.scheduled import Scheduled, scheduled, with_schedule
+from gbid.control.controllers.structures import channels_of, controller_structure
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
 from gbid.lpv import Domain
@@ -89,7 +89,7 @@ def save_controller(
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a controller file ends in .yaml")
     if not isinstance(structure, Scheduled):
-        structure = controller_structure(structure)
+        structure = with_schedule(controller_structure(structure))
     if isinstance(structure, Scheduled) != bool(points):
         raise UsageError(
             f"controller {structure.name!r}: "
@@ -158,19 +158,20 @@ def _contents(
     design: ControllerDesign, structure: Structure | Scheduled, models: Mapping[Point | None, LinearModel]
 ) -> dict[str, Any]:
     base = structure.base if isinstance(structure, Scheduled) else structure
+    inputs, outputs = channels_of(base)
     built_in = next((kind for kind, cls in built_in_structures().items() if type(base) is cls), None)
     table: dict[str, Any] = {"kind": built_in or "own", "name": base.name}
     if built_in:
         fields = asdict(base)  # type: ignore[call-overload]
-        table["options"] = {k: v for k, v in fields.items() if k not in ("name", "inputs", "outputs", "intersample")}
+        table["options"] = {k: v for k, v in fields.items() if k not in NOT_OPTIONS}
     contents: dict[str, Any] = {
         "kind": "controller",
         "schema_version": SCHEMA_VERSION,
         "name": design.name,
         "creator": f"gbid {__version__}",
         "loop": LOOP,
-        "inputs": list(INPUTS),
-        "outputs": list(OUTPUTS),
+        "inputs": list(inputs),
+        "outputs": list(outputs),
         "plant": design.plant,
         "structure": table,
     }

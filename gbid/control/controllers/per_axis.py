@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import isfinite
+from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -19,6 +19,8 @@ from gbid.structure.parameter import Values
 AXES = ("x", "y")
 INPUTS = ("p_x", "p_y")
 OUTPUTS = ("r_x", "r_y")
+NOT_OPTIONS = ("name", "inputs", "outputs", "intersample", "speed_rpm")
+"""Fields of a structure that are no options of the user."""
 
 
 class AxisGain(NamedTuple):
@@ -29,6 +31,16 @@ class AxisGain(NamedTuple):
     lower: float
     upper: float
     unit: str
+
+
+def gain_name(name: str, axis: str) -> str:
+    """Return the name of a gain of an axis; an axis without name adds nothing."""
+    return f"{name}_{axis}" if axis else name
+
+
+def inside(value: float, bounds: tuple[float, float]) -> float:
+    """Return the value within bounds that is nearest to a value."""
+    return min(max(value, bounds[0]), bounds[1])
 
 
 @dataclass(frozen=True)
@@ -44,7 +56,10 @@ class PerAxis(ABC):
     order : int
         Order n of the low-pass; 0 for none.
     tune_corner : bool
-        Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz], common to both axes.
+        Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz], common to all axes.
+    axes : tuple of str
+        Names of the axes, which end the names of gains, inputs and outputs. ``("",)`` is a controller of one input and
+        one output, whose gains have plain names.
     """
 
     lowpass_hz: float = 1000.0
@@ -54,8 +69,15 @@ class PerAxis(ABC):
     inputs: tuple[str, ...] = INPUTS
     outputs: tuple[str, ...] = OUTPUTS
     intersample: Hold = "foh"
+    axes: tuple[str, ...] = AXES
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "axes", tuple(self.axes))
+        if not self.axes or len(set(self.axes)) < len(self.axes):
+            raise UsageError(f"controller {self.name!r}: axes = {list(self.axes)}; give each its own name")
+        if self.axes != AXES:
+            object.__setattr__(self, "inputs", tuple(gain_name("p", axis) for axis in self.axes))
+            object.__setattr__(self, "outputs", tuple(gain_name("r", axis) for axis in self.axes))
         Lowpass(self.lowpass_hz, self.order).check(f"controller {self.name!r}")
         if self.tune_corner and self.order == 0:
             raise UsageError(f"controller {self.name!r}: tune_corner needs a low-pass; give an order of at least 1")
@@ -74,11 +96,11 @@ class PerAxis(ABC):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Gains of x and y, by kind; the corner frequency is last when it is tuned."""
+        """Gains of all axes, by kind; the corner frequency is last when it is tuned."""
         gains = [
-            Parameter(f"{gain.name}_{axis}", gain.start, gain.lower, gain.upper, unit=gain.unit)
+            Parameter(gain_name(gain.name, axis), gain.start, gain.lower, gain.upper, unit=gain.unit)
             for gain in self._axis_gains()
-            for axis in AXES
+            for axis in self.axes
         ]
         if self.tune_corner:
             gains.append(Parameter("lowpass_khz", self.lowpass_hz / 1e3, 0.05, 2.5, unit="kHz"))
@@ -89,10 +111,26 @@ class PerAxis(ABC):
         corner = p["lowpass_khz"] * 1e3 if self.tune_corner else self.lowpass_hz
         lowpass = Lowpass(corner, self.order).matrices()
         names = [gain.name for gain in self._axis_gains()]
-        axes = [self._filter({name: p[f"{name}_{axis}"] for name in names}, lowpass) for axis in AXES]
+        axes = [self._filter({name: p[gain_name(name, axis)] for name in names}, lowpass) for axis in self.axes]
         return {letter: ca.diagcat(*(axis[i] for axis in axes)) for i, letter in enumerate("ABCD")}
 
     def _check_bounds(self, **bounds: float) -> None:
         for name, value in bounds.items():
             if not isfinite(value):
                 raise UsageError(f"controller {self.name!r}: {name} = {value}; give a finite number")
+
+    def _check_positive(self, **values: float) -> None:
+        for name, value in values.items():
+            if not 0 < value < inf:
+                raise UsageError(f"controller {self.name!r}: {name} = {value}; give a positive number")
+
+    def _check_ranges(self, *names: str, positive: bool = True) -> None:
+        """Refuse ranges that are empty, or not positive; store them as pairs of numbers."""
+        for name in names:
+            low, high = (float(bound) for bound in getattr(self, name))
+            if not (-inf < low < high < inf) or (positive and low <= 0):
+                kind = "positive " if positive else ""
+                raise UsageError(
+                    f"controller {self.name!r}: {name} = ({low:g}, {high:g}); give two {kind}numbers, lower first"
+                )
+            object.__setattr__(self, name, (low, high))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from gbid.control.controllers.structures import controller_model
 from gbid.discretise import Hold
@@ -16,6 +16,15 @@ from gbid.structure.linear import Structure
 from gbid.structure.parameter import Values
 
 _SUFFIX = dict(zip(TERMS, ("1", "P", "Omega", "OmegaP", "P2", "Omega2"), strict=True))
+
+
+@runtime_checkable
+class FollowsSpeed(Protocol):
+    """Structure whose matrices follow the speed, so that it needs a schedule."""
+
+    def at_speed(self, speed_rpm: Any) -> Any:
+        """Return the structure at a speed [rpm]."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -131,7 +140,11 @@ class Scheduled:
         pressure_bar, speed_rpm : float or casadi.SX
             Operating point [bar], [rpm].
         """
-        return self.base.matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
+        return self.base_at(speed_rpm).matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
+
+    def base_at(self, speed_rpm: Any) -> Structure:
+        """Return the base structure at a speed [rpm], which matters when its matrices follow the speed."""
+        return self.base.at_speed(speed_rpm) if isinstance(self.base, FollowsSpeed) else self.base
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:
         """Return the structure at one operating point; its parameters are the coefficients.
@@ -181,6 +194,21 @@ def scheduled(
     return Scheduled(structure, tuple(terms), domain or Domain((3.0, 7.0), (0.0, 6000.0)))
 
 
+def with_schedule(structure: Structure | Scheduled, domain: Domain | None = None) -> Structure | Scheduled:
+    """Return a structure, scheduled with constant gains when its matrices follow the speed.
+
+    Parameters
+    ----------
+    structure : Structure or Scheduled
+        Structure of the controller.
+    domain : Domain, optional
+        Range of pressure and speed, as for `scheduled`.
+    """
+    if isinstance(structure, Scheduled) or not isinstance(structure, FollowsSpeed):
+        return structure
+    return scheduled(structure, ("1",), domain)
+
+
 def controller_at(
     structure: Structure | Scheduled, gains: Mapping[str, float], pressure_bar: float, speed_rpm: float
 ) -> LinearModel:
@@ -206,7 +234,7 @@ def controller_at(
         As for `controller_model`; for a scheduled controller also when the point lies outside its domain.
     """
     if isinstance(structure, Scheduled):
-        return controller_model(structure.base, structure.gains(gains, pressure_bar, speed_rpm))
+        return controller_model(structure.base_at(speed_rpm), structure.gains(gains, pressure_bar, speed_rpm))
     return controller_model(structure, gains)
 
 

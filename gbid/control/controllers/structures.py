@@ -7,7 +7,7 @@ from math import isfinite
 from typing import Any
 
 from gbid.control.controllers.built_in import built_in_structures
-from gbid.control.controllers.per_axis import INPUTS, OUTPUTS
+from gbid.control.controllers.per_axis import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis
 from gbid.errors import UsageError
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
@@ -19,11 +19,13 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
     Parameters
     ----------
     kind : str or Structure
-        A built-in structure with one filter per axis, ``"P"``, ``"PD"`` or ``"biquad"``, or your own: a
-        `gbid.LinearStructure` with its gains as parameters, two inputs and two outputs.
+        A built-in structure with one filter per axis, ``"P"``, ``"PD"``, ``"PI"``, ``"PID"``, ``"biquad"``,
+        ``"filter"`` (any order), ``"lead-lag"``, ``"notch"``, ``"PPF"``, ``"observer"``, ``"resonant"``; one with
+        cross-coupling, ``"full P"``, ``"full PD"``, ``"full biquad"``; or your own: a `gbid.LinearStructure` with its
+        gains as parameters, two inputs and two outputs.
     **options
-        Options of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner`` and bounds (see
-        `gbid.control.PStructure`, `gbid.control.PDStructure`, `gbid.control.BiquadStructure`).
+        Options of a built-in structure: ``lowpass_hz``, ``order``, ``tune_corner``, ``axes`` and bounds. The table of
+        structures is in the documentation (control).
 
     Returns
     -------
@@ -49,8 +51,7 @@ def controller_structure(kind: str | Structure, **options: Any) -> Structure:
         return kind
     if kind not in built_in:
         raise UsageError(f"controller = {kind!r}; choose {choices} or give a structure")
-    fixed = ("name", "inputs", "outputs", "intersample")
-    known = [name for name in built_in[kind].__dataclass_fields__ if name not in fixed]
+    known = [name for name in built_in[kind].__dataclass_fields__ if name not in NOT_OPTIONS]
     unknown = [name for name in options if name not in known]
     if unknown:
         raise UsageError(f"controller {kind!r}: unknown option {', '.join(unknown)}; there are {', '.join(known)}")
@@ -70,7 +71,7 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     Returns
     -------
     LinearModel
-        Continuous; inputs p_x, p_y, outputs r_x, r_y [m].
+        Continuous; inputs p_x, p_y, outputs r_x, r_y [m], or those of other axes.
 
     Raises
     ------
@@ -84,4 +85,9 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
-    return evaluate(structure, gains, INPUTS, OUTPUTS)
+    return evaluate(structure, gains, *channels_of(structure))
+
+
+def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the names of inputs and outputs of a controller: those of its axes, or of x and y for your own."""
+    return (structure.inputs, structure.outputs) if isinstance(structure, PerAxis) else (INPUTS, OUTPUTS)

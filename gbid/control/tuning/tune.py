@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.sampling import Method
@@ -148,6 +148,7 @@ def tune(
     0.318
     """
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
+    structure = with_schedule(structure, getattr(model, "domain", None))
     short = ShortForm(
         objective, peak_sensitivity, peak_control, static_amplification, slowest_pole, impact, piezo_travel_m
     )
@@ -166,7 +167,7 @@ def tune(
         [] if start is None else [as_start([start.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)]
     )
     effort = Effort(starts, seed)
-    if isinstance(structure, Scheduled):
+    if isinstance(structure, Scheduled) and structure.terms != ("1",):
         first.append(_constant_gains(design, structure, limits, effort))
     problem, optimum, history = _search(design, limits, (low, high, start_gains), effort, first, progress)
     verified = f"eigenvalues and exact H-infinity norms of {len(problem.families[0])} loops"
@@ -236,16 +237,14 @@ def _gain_bounds(
 
 def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, effort: Effort) -> FloatArray:
     """Return the best constant gains as coefficients, a start value with which a schedule cannot become worse."""
-    known = design.continuous
+    known, constant = design.continuous, replace(structure, terms=("1",))
     assert isinstance(known, LoopsAtPoints)
     assert known.lpv is not None
-    equations = loop_equations(known.lpv, structure.base, delay_s=known.delay_s)
-    plants = LoopsAtPoints(structure.base, equations, design.points, known.uncertainty, known.lpv, known.delay_s)
-    low, high, start = _gain_bounds(structure.base, None)
+    equations = loop_equations(known.lpv, constant, delay_s=known.delay_s)
+    plants = LoopsAtPoints(constant, equations, design.points, known.uncertainty, known.lpv, known.delay_s)
+    low, high, start = _gain_bounds(constant, None)
     family = plants.family(design.points)
     problem = GainProblem((family,), limits, low, high, typical_rate((family,), start))
     best, _ = solve_over_points(problem, plants, design.points, start, effort, [], None)
-    values = dict(zip((p.name for p in structure.base.parameters), best.x, strict=True))
-    return np.array(
-        [values.get(p.name.removesuffix("_1"), 0.0) if p.name.endswith("_1") else 0.0 for p in structure.parameters]
-    )
+    values = dict(zip((p.name for p in constant.parameters), best.x, strict=True))
+    return np.array([values.get(p.name, 0.0) for p in structure.parameters])

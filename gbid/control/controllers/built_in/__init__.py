@@ -1,4 +1,4 @@
-"""Built-in controller structures, one file each.
+"""Built-in controller structures, one file each, here or in a folder.
 
 A file of this room defines a subclass of `gbid.control.controllers.per_axis.PerAxis`. The default of its field `name`
 is the name in Python, YAML, controller files and messages. Nothing else has to know it.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from pkgutil import iter_modules
+from pkgutil import walk_packages
 from types import MappingProxyType
 
 from gbid.control.controllers.per_axis import PerAxis
@@ -19,7 +19,7 @@ from gbid.control.controllers.per_axis import PerAxis
 def built_in_structures() -> Mapping[str, type[PerAxis]]:
     """Return the built-in structures by name."""
     found = {}
-    for module in iter_modules(__path__, f"{__name__}."):
+    for module in walk_packages(__path__, f"{__name__}."):
         for value in vars(import_module(module.name)).values():
             if isinstance(value, type) and issubclass(value, PerAxis) and value.__module__ == module.name:
                 found[value.name] = value

@@ -4,14 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import inf
 from typing import Any
 
-import casadi as ca
-import numpy as np
-
-from gbid.control.controllers.per_axis import AxisGain, PerAxis
-from gbid.errors import UsageError
+from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
+from gbid.control.controllers.sections import in_series, second_order
 
 
 @dataclass(frozen=True)
@@ -44,34 +40,17 @@ class BiquadStructure(PerAxis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.gain_limit < inf:
-            raise UsageError(f"controller 'biquad': gain_limit = {self.gain_limit}; give a positive number")
-        for name in ("frequency_khz", "damping"):
-            low, high = (float(bound) for bound in getattr(self, name))
-            if not 0 < low < high < inf:
-                raise UsageError(
-                    f"controller 'biquad': {name} = ({low:g}, {high:g}); give two positive numbers, lower first"
-                )
-            object.__setattr__(self, name, (low, high))
+        self._check_positive(gain_limit=self.gain_limit)
+        self._check_ranges("frequency_khz", "damping")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         limit = self.gain_limit
-        frequency, damping = (
-            min(max(middle, low), high) for middle, (low, high) in ((0.15, self.frequency_khz), (0.7, self.damping))
-        )
         return (
             *(AxisGain(f"b{i}", 0.0, -limit, limit, "m/m") for i in range(3)),
-            AxisGain("frequency", frequency, *self.frequency_khz, "kHz"),
-            AxisGain("damping", damping, *self.damping, ""),
+            AxisGain("frequency", inside(0.15, self.frequency_khz), *self.frequency_khz, "kHz"),
+            AxisGain("damping", inside(0.7, self.damping), *self.damping, ""),
         )
 
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
-        w, z = 2e3 * np.pi * gain["frequency"], gain["damping"]
-        # states w^2/den and w s/den; s^2/den = 1 - 2 z (second) - (first)
-        A = ca.blockcat([[ca.SX(1, 1), ca.SX(w)], [ca.SX(-w), ca.SX(-2 * z * w)]])
-        B = ca.vertcat(0, w)
-        C = ca.horzcat(gain["b0"] - gain["b2"], gain["b1"] - 2 * z * gain["b2"])
-        A_lp, B_lp, C_lp, D_lp = lowpass
-        n = A_lp.shape[0]
-        series = ca.blockcat([[A_lp, ca.SX(n, 2)], [B @ C_lp, A]])
-        return series, ca.vertcat(B_lp, B @ D_lp), ca.horzcat(gain["b2"] * C_lp, C), gain["b2"] * D_lp
+        b = [gain[f"b{i}"] for i in range(3)]
+        return in_series(lowpass, second_order(b, gain["frequency"], gain["damping"]))

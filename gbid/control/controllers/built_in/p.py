@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis
+from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class PStructure(PerAxis):
         self._check_bounds(lower=self.lower, upper=self.upper)
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
-        return (AxisGain("kappa", min(max(0.0, self.lower), self.upper), self.lower, self.upper, "m/m"),)
+        return (AxisGain("kappa", inside(0.0, (self.lower, self.upper)), self.lower, self.upper, "m/m"),)
 
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
         A, B, C, D = lowpass

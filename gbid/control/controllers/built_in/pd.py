@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis
+from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
 from gbid.errors import UsageError
 
 
@@ -40,7 +40,7 @@ class PDStructure(PerAxis):
             raise UsageError("controller 'PD': order = 0; without a low-pass it is not proper, give at least 1")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
-        start = min(max(0.0, self.lower), self.upper)
+        start = inside(0.0, (self.lower, self.upper))
         return (
             AxisGain("kappa", start, self.lower, self.upper, "m/m"),
             AxisGain("kd", 0.0, -self.kd_limit_ms, self.kd_limit_ms, "ms"),

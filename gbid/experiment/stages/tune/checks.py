@@ -37,7 +37,8 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
         try:
             structure = design_structure(experiment, section, None if model is None else model.domain)
         except GbidError as error:
-            yield (*where, "schedule" if "terms" in str(error) else "structure"), str(error)
+            key = "schedule" if "terms" in str(error) else "options" if section.options else "structure"
+            yield (*where, key), str(error)
             continue
         yield from _gain_problems(section, structure, where)
 

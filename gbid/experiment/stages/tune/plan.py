@@ -7,6 +7,7 @@ from typing import Any
 
 from gbid.control import HalfSine, Scheduled, controller_structure, scheduled
 from gbid.control.controllers.built_in import built_in_structures
+from gbid.control.controllers.scheduled import with_schedule
 from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import nearest
@@ -107,7 +108,9 @@ def design_structure(
         When the structure or an option is unknown, or the file does not define a structure.
     """
     given = {key: getattr(section, key) for key in ("lowpass_hz", "order", "tune_corner")}
-    options = {key: value for key, value in given.items() if value is not None}
+    # a whole number stays one: orders are counted
+    own = {key: int(v) if isinstance(v, float) and v.is_integer() else v for key, v in section.options.items()}
+    options = {**own, **{key: value for key, value in given.items() if value is not None}}
     if section.structure in built_in_structures():
         base = controller_structure(section.structure, **options)
     elif ":" not in section.structure:
@@ -117,7 +120,7 @@ def design_structure(
         base = controller_structure(load_structure(section.structure, experiment.folder), **options)
         if (len(base.inputs), len(base.outputs)) != (2, 2):
             raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
-    return base if section.schedule is None else scheduled(base, section.schedule, domain)
+    return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)
 
 
 def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:

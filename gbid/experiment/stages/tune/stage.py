@@ -155,6 +155,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         "controller": structure,
         "uncertainty": plants,
         "sample_time": sample_time(experiment, section) if section.design_for == "sampled" else None,
+        "method": section.method,
         "progress": progress,
     }
     result = tune(model, peak_sensitivity=section.peak_sensitivity, **options)

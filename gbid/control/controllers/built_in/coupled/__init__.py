@@ -1,0 +1,1 @@
+"""Built-in structures with cross-coupling between the axes."""

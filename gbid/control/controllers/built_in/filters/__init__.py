@@ -1,0 +1,1 @@
+"""Built-in structures that are filters of second or other order per axis."""
