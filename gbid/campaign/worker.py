@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
-from multiprocessing.connection import Connection
+import threading
+from multiprocessing import parent_process
+from multiprocessing.connection import Connection, wait
 
 READY = "ready"
 
@@ -14,9 +17,11 @@ def serve(connection: Connection) -> None:
 
     A message is a job (pickled), which is used for the following tasks, or a task with its number. The worker answers a
     task with its number and the result of `gbid.campaign.shipping.attempt`. It ignores Ctrl-C, because the runner stops
-    its workers.
+    its workers. When the runner is gone, it ends at once, also in the middle of a task: results appear only when they
+    are complete.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_runner, daemon=True).start()
     from gbid.campaign.shipping import attempt  # imports all packages, once, before the first task
 
     connection.send(READY)
@@ -32,3 +37,11 @@ def serve(connection: Connection) -> None:
                 connection.send((number, attempt(job, task)))
     except (EOFError, OSError):  # the runner has ended
         return
+
+
+def _end_with_runner() -> None:
+    """Wait until the process that started this one has ended, and end this one."""
+    runner = parent_process()
+    if runner is not None:
+        wait([runner.sentinel])
+        os._exit(1)

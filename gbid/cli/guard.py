@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import signal
+import threading
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 import typer
 
@@ -27,7 +30,8 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
         Whether the traceback is shown.
     """
     try:
-        yield
+        with _interrupted_by_termination():
+            yield
     except typer.Exit:
         raise
     except KeyboardInterrupt:
@@ -40,6 +44,31 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
         text = f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it"
         hint = ")" if debug else " with what --debug shows)"
         _end([" ".join((text + hint).split())], 1, "defect: ", as_json, debug)
+
+
+@contextmanager
+def _interrupted_by_termination() -> Iterator[None]:
+    """Return a context in which SIGTERM and SIGHUP act as Ctrl-C does: workers end and complete results are kept.
+
+    Signals that the process ignores (nohup) stay ignored.
+    """
+    ours = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    changed = [number for number in ours if signal.getsignal(number) == signal.SIG_DFL]
+    if threading.current_thread() is not threading.main_thread():
+        changed = []
+    for number in changed:
+        signal.signal(number, _interrupt)
+    try:
+        yield
+    finally:
+        for number in changed:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a process that a shell runs in the background
+        raise KeyboardInterrupt
+    signal.raise_signal(signal.SIGINT)
 
 
 def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> None:

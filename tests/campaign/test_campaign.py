@@ -178,6 +178,30 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
     assert left_over(results_of(path)) == []
 
 
+@PROC
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
+def test_workers_end_within_two_seconds_of_their_runner(tmp_path, sent):
+    path = write_springs(tmp_path, 4, fit="focus: simulation, engine: numpy, multi_start: {starts: 3000}")  # minutes
+    process = batch(path, "--engine", "pool", "--workers", "2", start_new_session=True)
+    for _ in range(4):  # the imports; fits follow
+        process.stderr.readline()
+    time.sleep(0.5)
+    workers = workers_of(process)
+    assert workers
+    process.send_signal(sent)
+    deadline = time.monotonic() + 2
+    while any(alive(pid) for pid in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+    _, err = process.communicate(timeout=10)
+    assert process.returncode == (130 if sent != signal.SIGKILL else -sent), err
+    assert "Traceback" not in err
+    assert gbid("check", path) == 0
+    if sent != signal.SIGKILL:
+        assert err.splitlines()[-1] == "gbid: interrupted; complete results are kept"
+        assert left_over(results_of(path)) == []
+
+
 def test_a_task_that_kills_its_workers_does_not_stop_the_rest(pool, job, tmp_path):
     kinds = {"a": files.write_number, "b": files.die, "c": files.write_number, "d": files.die_once}
     kinds |= {"e": files.refuse, "f": files.defect}
