@@ -105,4 +105,4 @@ def _squarings(Z: FloatArray) -> int:
     Z = matrix_balance(Z, permute=False)[0]
     power = np.linalg.matrix_power(Z, 4)
     reach = max(np.linalg.norm(power, 1) ** (1 / 4), np.linalg.norm(power @ Z, 1) ** (1 / 5))
-    return max(0, int(np.ceil(np.log2(reach)))) if reach > 0 else 0
+    return max(0, int(np.ceil(np.log2(reach)))) if 0 < reach < np.inf else 0  # beyond, the exponential overflows

@@ -12,26 +12,30 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
-from gbid.identify.data import FitData, gather
+from gbid.identify.attempts import Attempt, Plan, best_attempt
+from gbid.identify.data import gather
 from gbid.identify.disturbances.asked import TrendName, asked_disturbances
 from gbid.identify.disturbances.disturbance_starts import disturbance_starts, without_disturbances
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.solver import Solution, solve
+from gbid.identify.nlp.stability import spectral_radius
 from gbid.identify.nlp.watch import Progress, Stop
 from gbid.identify.options import FitOptions
-from gbid.identify.other_gains import lowest_of_several
-from gbid.identify.outcome import outcome
+from gbid.identify.other_gains import lowest_of_several, strongly_coloured
+from gbid.identify.outcome import outcome, overflow_notes
 from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
 from gbid.identify.start.begin import begin_values
-from gbid.identify.status import FitStatus
+from gbid.identify.start.settled_start import settled_start
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
 from gbid.threads import one_blas_thread
+
+_ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
 
 
 def fit(
@@ -157,12 +161,14 @@ def fit(
         first = begin_values(structure, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
     structure, begin = structure if in_names else without_inputs(structure), first.values
 
-    def attempt(samples: int | None, gain_held: bool = False) -> FitResult:
+    def attempt(
+        own: Mapping[str, float], samples: int | None, gain_held: bool = False, unstable: bool = True
+    ) -> Attempt:
         used = _with_gain_held(structure, parameters) if gain_held else parameters
         assembly = assemble(
             structure,
             used,
-            begin,
+            own,
             data,
             intersample=hold,
             focus=focus,
@@ -173,8 +179,11 @@ def fit(
             window=samples,
             engine=engine,
         )
-        full = full_start(assembly, begin, disturbance_starts(disturbances, structure, begin, data, hold))
+        full = full_start(assembly, own, disturbance_starts(disturbances, structure, own, data, hold))
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
+        rate = spectral_radius(problem.values(problem.unpack(unknowns)[0]))
+        if plan.grows(rate) and not unstable:
+            return Attempt(None, rate, False)
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         inside = np.clip(unknowns, lower, upper)
 
@@ -195,44 +204,33 @@ def fit(
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
         )
-        result = outcome(structure, used, data, assembly, problem, solution, full, first.origin, options)
-        return replace(result, notes=(*result.notes, *more, *first.notes, *decay_notes(data)))
+        moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
+        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options)
+        notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
+        result = replace(result, notes=(*result.notes, *notes))
+        doubtful = result.trusted == "robust" and strongly_coloured(problem, solution.unknowns)
+        return Attempt(result, spectral_radius(problem.values(problem.unpack(solution.unknowns)[0])), doubtful)
 
+    def settle() -> dict[str, float] | None:
+        moved = settled_start(
+            structure, parameters, begin, undisturbed, intersample=hold, left_out=left_out or {}, engine=engine
+        )
+        return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in parameters}
+
+    usual = automatic_window(data, focus)
+    plan = Plan(
+        attempt,
+        settle,
+        (usual, max(16, usual // 2), 4 * usual) if window == "auto" else (window,),
+        adapts=window == "auto",
+        longest=max(record.n_samples for record in data.records),
+        n_samples=data.n_samples,
+        may_move=max_iterations >= _ENOUGH_ITERATIONS and ("data" not in first.origin.values() or bool(first.notes)),
+    )
     # Matrices are small: several BLAS threads would be slower. An unstable start overflows; the status reports it.
     with one_blas_thread(), np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        result = _best_of(attempt, window if window != "auto" else _ladder(data, focus))
+        result = best_attempt(plan, begin)
     return replace(result, wall_time_s=time.perf_counter() - began)
-
-
-def _ladder(data: FitData, focus: Focus) -> list[int | None]:
-    """Return the window lengths to try in turn: the default, then shorter and longer ones."""
-    usual = automatic_window(data, focus)
-    return [usual, max(16, usual // 2), 4 * usual]
-
-
-def _best_of(attempt: Callable[..., FitResult], windows: int | list[int | None] | None) -> FitResult:
-    """Return the first attempt that converges, else the one with the smallest loss; a note names the attempt."""
-    if not isinstance(windows, list):
-        return attempt(windows)
-    tried: list[FitResult] = []
-    for samples in windows:
-        result = attempt(samples)
-        tried.append(result)
-        if result.success:
-            break
-        if result.status is FitStatus.UNSTABLE_PREDICTOR:
-            result = attempt(samples, gain_held=True)
-            note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
-            status = FitStatus.CONVERGED_GAIN_HELD if result.success else result.status
-            return replace(result, status=status, notes=(*result.notes, note))
-    else:
-        finite = [r for r in tried if np.isfinite(r.loss)]
-        result = min(finite, key=lambda r: r.loss) if finite else tried[0]
-    if len(tried) > 1:
-        others = ", ".join(str(r.options.window) for r in tried if r is not result)
-        note = f"windows of {others} samples did not converge; this is the result with {result.options.window}"
-        result = replace(result, notes=(*result.notes, note))
-    return result
 
 
 def _with_gain_held(structure: Structure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:

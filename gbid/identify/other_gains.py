@@ -65,6 +65,11 @@ def lowest_of_several(
     return replace(best, iterations=iterations), notes
 
 
+def strongly_coloured(problem: Shooting, unknowns: FloatArray) -> bool:
+    """Return whether neighbouring errors are strongly correlated, as at a minimum that is not the lowest."""
+    return not neighbours(problem, unknowns) < _STRONGLY
+
+
 def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArray, FloatArray]) -> FloatArray | None:
     """Return a point of lower cost with another disturbance gain and all else as it is.
 
@@ -82,7 +87,7 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArr
     joined, kept = in_one_window(problem)
     theta, starts = joined.unpack(unknowns[kept])
     values = joined.values(theta)
-    if neighbours(joined, unknowns[kept]) < _STRONGLY:
+    if not strongly_coloured(joined, unknowns[kept]):
         return None
     least, found = joined.cost(joined.error_products(values, starts)), None
     size = np.abs(theta[gains]).max()

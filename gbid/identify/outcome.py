@@ -17,10 +17,10 @@ from gbid.identify.nlp.solver import Solution
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
 from gbid.identify.result import FitResult
-from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.uncertainty.whiteness import whiteness_and_memory, whiteness_test
+from gbid.identify.verdict import explains_nothing, verdict
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
@@ -69,9 +69,11 @@ def outcome(
     initial_known = options.initial_state != "estimated"
     by_record = _by_record(problem, errors, assembly)
     counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
+    worse = bool(finite) and explains_nothing(problem, products, _counted_outputs(data, counted, options.horizon))
     white, memory = whiteness_and_memory(by_record) if finite else (whiteness_test(by_record), 1)
+    sound = bool(finite) and not worse
     trusted: Literal["white", "robust"] = (
-        "white" if (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
+        "white" if sound and (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
     )
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
@@ -94,6 +96,8 @@ def outcome(
         estimates.pop(name, None)
     std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
     mean_square = products / problem.n_samples
+    undetermined = ~on_bound & ~np.isfinite([std[q.name] for q in free])
+    status = verdict(solution.status, overflows=not finite, worse_than_constant=worse, undetermined=undetermined)
     units = {q.name: q.unit for q in parameters}
     units |= options.disturbances.units(data.output_units)
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
@@ -114,7 +118,7 @@ def outcome(
         covariance_white=found.white,
         covariance_robust=found.robust,
         trusted=trusted,
-        whiteness=white.p_value,
+        whiteness=white.p_value if finite else np.full(len(products), np.nan),
         modes_std=modes_std,
         static_gain_std=gain_std,
         initial_states=starts[assembly.record_window][:, : assembly.n_states],
@@ -124,7 +128,8 @@ def outcome(
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=found.condition,
-        status=solution.status if finite else FitStatus.OVERFLOW,
+        status=status,
+        optimality=solution.rest,
         iterations=solution.iterations,
         wall_time_s=0.0,
         start={name: begin[name] for name in estimates},
@@ -235,6 +240,11 @@ def _notes(
     return (*notes, *assembly.notes)
 
 
+def overflow_notes(points: int) -> tuple[str, ...]:
+    """Return a note on the points at which the model overflowed, none for none."""
+    return (f"the model overflows at {points} of the points that the solver tried; it stepped back",) if points else ()
+
+
 def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
     if not any(problem.parts_at_edge(theta)):
         return ()
@@ -289,7 +299,11 @@ def _propagated(
 
 def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray], horizon: int) -> FloatArray:
     rows = []
-    for record, e, used in zip(data.records, errors, counted, strict=True):
-        y = record.outputs[horizon - 1 :][used[:, 0] > 0]
+    for e, y in zip(errors, _counted_outputs(data, counted, horizon), strict=True):
         rows.append(100 * (1 - np.linalg.norm(e, axis=0) / np.linalg.norm(y - y.mean(0), axis=0)))
     return np.array(rows)
+
+
+def _counted_outputs(data: FitData, counted: list[FloatArray], horizon: int) -> list[FloatArray]:
+    """Return the outputs of each record that are in the cost, (n_samples, n_y)."""
+    return [r.outputs[horizon - 1 :][used[:, 0] > 0] for r, used in zip(data.records, counted, strict=True)]

@@ -130,6 +130,9 @@ class FitResult:
         For each recording, the full names of its local parameters by their own names; empty without local parameters.
     multi_start : StartsTried or None
         Counts of the fits from other starts; None for a fit from one start.
+    optimality : float or None
+        First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations of the
+        estimates. Below 0.1 for a success; None in a file of an earlier version.
     model_slopes : ModelSlopes or None
         Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves; None in a file
         of gbid 0.1.0.
@@ -167,6 +170,7 @@ class FitResult:
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     multi_start: StartsTried | None = None
     model_slopes: ModelSlopes | None = None
+    optimality: Annotated[float | None, Stored("", "next step over standard deviations")] = None
 
     def __repr__(self) -> str:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
@@ -182,7 +186,7 @@ class FitResult:
 
     @property
     def success(self) -> bool:
-        """Whether the fit converged."""
+        """Whether the fit converged to an estimate: finite, at rest, determined, and better than a constant."""
         return self.status.success
 
     @property

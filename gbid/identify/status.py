@@ -21,6 +21,15 @@ class FitStatus(StrEnum):
     )
     GAPS_OPEN = "not converged: no step closes the gaps between windows; try other start values"
     GAPS_CONTRADICT = "not converged: gaps between windows cannot be closed; try other start values"
+    STALLED = (
+        "not converged: the criterion still falls where the solver stopped; try other start values (fit_multistart), "
+        "or fix a parameter that the data hardly determine"
+    )
+    WORSE_THAN_CONSTANT = (
+        "not converged: the errors are larger than about the mean of the outputs; try other start values "
+        "(fit_multistart), or estimate offsets (offsets=True)"
+    )
+    NOT_DETERMINED = "not determined: a free parameter has no standard deviation; fix or bound what the notes name"
     STEPS_TOO_SMALL = "not converged: steps became too small; a parameter may not be determined"
     NO_STEP = "not converged: the step cannot be computed; a parameter may not be determined"
     DIVERGED = "not converged: the iterates diverge; check bounds and start values"
@@ -33,7 +42,7 @@ class FitStatus(StrEnum):
 
     @property
     def success(self) -> bool:
-        """Whether the fit converged."""
+        """Whether the fit converged to an estimate."""
         return self in _SUCCESSES
 
 

@@ -12,6 +12,8 @@ from gbid.identify.data import FitData
 from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.structure import Structure, evaluate
 
+_RUNAWAY = 1e3  # size of a simulation, in that of the outputs, beyond which the model counts as unstable
+
 
 def disturbance_starts(
     disturbances: Disturbances,
@@ -47,7 +49,7 @@ def disturbance_starts(
     model, starts = evaluate(structure, begin), []
     for record in data.records:
         left = record.outputs - model.simulate(record.inputs, data.sample_time, intersample=intersample)
-        if not np.isfinite(left).all():
+        if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():
             left = record.outputs
         columns = disturbances.regressors(record.n_samples, data.sample_time)
         found = disturbances.closest(left, columns)

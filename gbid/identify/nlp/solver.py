@@ -13,14 +13,20 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.nlp.casadi_callback import Oracle
+from gbid.identify.nlp.casadi_callback import Oracle, Trouble
 from gbid.identify.nlp.hessian import Curvature, ExactHessian, GaussNewton
 from gbid.identify.nlp.one_window import in_one_window, in_windows
+from gbid.identify.nlp.optimality import distance_from_rest
 from gbid.identify.nlp.patterns import Pattern
 from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
 from gbid.identify.status import FitStatus
+
+_TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
+_REST = 0.1  # standard deviations that the next step of a solution may still be long
+_REST_BY_PAPER = 1.0  # the same for the paper's rule, which stops earlier
+_TIGHTER = 1e-4  # of the tolerance, for a solution that has not come to rest
 
 _BY_IPOPT = {
     "Solve_Succeeded": FitStatus.CONVERGED,
@@ -51,12 +57,18 @@ class Solution:
         Number of iterations.
     history : tuple of Progress
         Progress of each iteration.
+    rest : float
+        First-order optimality: length of the Gauss-Newton step that would come next, in standard deviations.
+    overflows : int
+        Number of points that the solver tried where the model has no finite value; it steps back from them.
     """
 
     unknowns: FloatArray
     status: FitStatus
     iterations: int
     history: tuple[Progress, ...]
+    rest: float = np.inf
+    overflows: int = 0
 
 
 def solve(
@@ -66,7 +78,6 @@ def solve(
     upper: FloatArray,
     *,
     stop: Stop = "tolerance",
-    tolerance: float = 1e-6,
     max_iterations: int = 100,
     progress: Callable[[Progress], None] | None = None,
 ) -> Solution:
@@ -74,6 +85,9 @@ def solve(
 
     Gauss-Newton in windows finds the basin. Where it creeps there, as with errors that are coloured, each segment
     becomes one window, and the Hessian gets what Gauss-Newton leaves out (`ExactHessian`).
+
+    At the end the first-order optimality is checked. A solution that has not come to rest is solved on, with a tighter
+    tolerance; one that still has not is no success.
 
     Parameters
     ----------
@@ -83,8 +97,6 @@ def solve(
     stop : {"tolerance", "paper"}
         IPOPT's own test or a step far below the estimates' standard deviations, whichever is met first; or the
         paper's: the relative change of the parameters below 1e-4 (Sec. 3.6).
-    tolerance : float
-        IPOPT's tolerance on the scaled optimality conditions.
     max_iterations : int
     progress : callable, optional
         Called with each `Progress`.
@@ -100,18 +112,52 @@ def solve(
     """
     with _interruptible() as interrupt:
         watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
-        first = _run(problem, watch, (start, lower, upper), tolerance, max_iterations, GaussNewton(problem))
+        first = _run(problem, watch, (start, lower, upper), _TOLERANCE, max_iterations, GaussNewton(problem))
         if not watch.creeping:
-            return first
+            return _at_rest(problem, first, (lower, upper), interrupt, stop, max_iterations, progress, GaussNewton)
         joined, kept = in_one_window(problem)
         box = (first.unknowns[kept], lower[kept], upper[kept])
         watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
-        last = _run(joined, watch, box, tolerance, max_iterations - first.iterations, ExactHessian(joined))
+        last = _run(joined, watch, box, _TOLERANCE, max_iterations - first.iterations, ExactHessian(joined))
+        left = max_iterations - first.iterations
+        last = _at_rest(joined, last, box[1:], interrupt, stop, left, progress, ExactHessian)
     return replace(
         last,
         unknowns=in_windows(problem, joined, last.unknowns),
         iterations=first.iterations + last.iterations,
+        overflows=first.overflows + last.overflows,
         history=(*first.history, *last.history[1:]),
+    )
+
+
+def _at_rest(
+    problem: Shooting,
+    solution: Solution,
+    box: tuple[FloatArray, FloatArray],
+    interrupt: Interrupt,
+    stop: Stop,
+    max_iterations: int,
+    progress: Callable[[Progress], None] | None,
+    curvature: Callable[[Shooting], Curvature],
+) -> Solution:
+    """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
+    rest = distance_from_rest(problem, solution.unknowns, box)
+    if not solution.status.success or rest <= _REST or any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
+        return replace(solution, rest=rest)
+    if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
+        return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
+    left = max(1, max_iterations - solution.iterations)
+    watch = Watch(problem, stop, progress, interrupt, box, earlier=solution.history)
+    last = _run(problem, watch, (solution.unknowns, *box), _TOLERANCE * _TIGHTER, left, curvature(problem))
+    rest = distance_from_rest(problem, last.unknowns, box)
+    status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
+    return replace(
+        last,
+        status=status,
+        rest=rest,
+        iterations=solution.iterations + last.iterations,
+        overflows=solution.overflows + last.overflows,
+        history=(*solution.history, *last.history[1:]),
     )
 
 
@@ -125,7 +171,8 @@ def _run(
 ) -> Solution:
     """Run IPOPT once from a start within bounds."""
     start, lower, upper = box
-    solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature)
+    trouble = Trouble()
+    solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble)
     if not watch.interrupt.pressed:
         closed = np.zeros(problem.n_gaps)
         _, lowest, highest = problem.limits
@@ -133,15 +180,18 @@ def _run(
         result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
     if watch.interrupt.pressed:
         raise KeyboardInterrupt
+    if trouble.defect is not None:
+        raise trouble.defect
     unknowns = np.asarray(result["x"], float).ravel()
     status = _status(str(solver.stats()["return_status"]), watch)
     if not np.isfinite(unknowns).all():
         unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
-    return Solution(unknowns, status, int(solver.stats()["iter_count"]), tuple(watch.history))
+    iterations = int(solver.stats()["iter_count"])
+    return Solution(unknowns, status, iterations, tuple(watch.history), overflows=trouble.points)
 
 
 def _ipopt(
-    problem: Shooting, watch: Watch, tolerance: float, max_iterations: int, curvature: Curvature
+    problem: Shooting, watch: Watch, tolerance: float, max_iterations: int, curvature: Curvature, trouble: Trouble
 ) -> tuple[ca.Function, list[Oracle]]:
     """Build the solver; also return the callbacks, which must outlive it."""
     n, m = problem.n_unknowns, problem.n_gaps
@@ -162,24 +212,35 @@ def _ipopt(
     def held(x: ca.DM) -> ca.DM:
         return ca.vertcat(ca.DM(at(x).gaps), limits @ x)
 
-    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], lambda x: [at(x).cost, held(x)])
+    def cost(x: ca.DM) -> list[Any]:
+        found = np.nan
+        try:
+            found = at(x).cost
+            return [found, held(x)]
+        finally:
+            trouble.points += not np.isfinite(found)
+
+    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], cost, trouble)
     gradient = Oracle(
         "grad_f",
         point,
         [("f", scalar), ("grad_f_x", vector)],
         lambda x, _p: [at(x).cost, at(x).gradient],
+        trouble,
     )
     jac = Oracle(
         "jac_g",
         point,
         [("g", constraints), ("jac_g_x", jacobian)],
         lambda x, _p: [held(x), ca.vertcat(ca.DM(gaps, at(x).jacobian), limits)],
+        trouble,
     )
     hess = Oracle(
         "hess_lag",
         point + multipliers,
         [("triu_hess_gamma_x_x", hessian)],
         lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)[:m]))],
+        trouble,
     )
     x = ca.MX.sym("x", n)
     f, g = value(x)

@@ -10,6 +10,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.identify.nlp.optimality import distance_from_rest, in_standard_deviations
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.stability import spectral_radius
 
@@ -19,8 +20,6 @@ _GAP_TOLERANCE = 1e-6  # of the scaled states, before the paper's stopping rule 
 _STEP_TOLERANCE = 1e-4  # of the estimates' joint standard deviation: nothing that the data could tell is left
 PATIENCE = 5  # iterations that a predictor may be unstable on the way, where its start was so too, or stand still
 _STEP_AHEAD = 1e-2  # of the same: what Gauss-Newton may still want, which is a part of what is needed or more
-_ROUNDING = 1e-12  # of the largest curvature: for unknowns that the data do not tell
-_AT_BOUND = 1e-4  # scaled
 _NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of the minimum is reached
 _NEAR_GAP = 0.1
 _AHEAD = 7  # iterations that justify a change of method
@@ -114,7 +113,7 @@ class Watch(ca.Callback):
         if self._previous is not None:
             moved, n_theta = x - self._previous, self._problem.n_theta
             step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
-            sigma = self._in_standard_deviations(x, moved)
+            sigma = in_standard_deviations(self._problem, self._problem.at(x), moved)
         gap = float(np.abs(gaps).max(initial=0.0))
         done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
         now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
@@ -140,42 +139,16 @@ class Watch(ca.Callback):
     def _nothing_to_gain(self, x: FloatArray) -> bool:
         """Return whether a Gauss-Newton step from here would be very small.
 
-        With another Hessian, small steps of the solver may mean a wrong Hessian, not a minimum. Near an unstable
+        Small steps of the solver may mean a wrong Hessian or a line search that stalls, not a minimum. Near an unstable
         predictor there is no minimum, which the result reports.
         """
-        problem, iterate = self._problem, self._problem.at(x)
-        if self._changes_over or any(problem.parts_at_edge(problem.unpack(x)[0])):
+        if any(self._problem.parts_at_edge(self._problem.unpack(x)[0])):
             return True
-        limits, low, high = problem.limits
-        values = limits @ x[: problem.n_theta]
-        met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
-        n, m = problem.n_unknowns, problem.n_gaps + len(met)
-        system = np.zeros((n + m, n + m))
-        upper, across = problem.hessian_pattern, problem.jacobian_pattern
-        system[upper.rows, upper.columns] = system[upper.columns, upper.rows] = iterate.hessian
-        system[n + across.rows, across.columns] = system[across.columns, n + across.rows] = iterate.jacobian
-        system[n + problem.n_gaps :, : problem.n_theta] = met
-        system[: problem.n_theta, n + problem.n_gaps :] = met.T
-        round_off = _ROUNDING * iterate.hessian.max()
-        system[np.arange(n + m), np.arange(n + m)] += np.repeat([round_off, -round_off], [n, m])
-        lowest, highest = self._box
-        free = (x > lowest + _AT_BOUND) & (x < highest - _AT_BOUND)
-        kept = np.concatenate([free, np.ones(m, dtype=bool)])
-        slope = np.concatenate([iterate.gradient, iterate.gaps, np.zeros(len(met))])
-        step = np.zeros(n)
-        step[free] = np.linalg.solve(system[np.ix_(kept, kept)], -slope[kept])[: np.count_nonzero(free)]
-        return self._in_standard_deviations(x, step) < _STEP_AHEAD
+        return distance_from_rest(self._problem, x, self._box) < _STEP_AHEAD
 
     def _radius(self, x: FloatArray) -> float:
         theta, _ = self._problem.unpack(x)
         return spectral_radius(self._problem.values(theta))
-
-    def _in_standard_deviations(self, x: FloatArray, moved: FloatArray) -> float:
-        """Return the length of a step in the metric of the information at its end."""
-        pattern, entries = self._problem.hessian_pattern, self._problem.at(x).hessian
-        twice = np.where(pattern.rows == pattern.columns, 1.0, 2.0)
-        square = float((twice * entries * moved[pattern.rows] * moved[pattern.columns]).sum())
-        return float(np.sqrt(max(square, 0.0) * self._problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:

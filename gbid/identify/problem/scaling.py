@@ -63,9 +63,11 @@ def build_problem(
         np.mean(forced_states(v, part.blocks) ** 2, axis=(0, 2)) for v, part in zip(values, problem.parts, strict=True)
     ]
     size = np.sqrt(np.max(squares, axis=0))
-    state_scale = np.where(np.isfinite(size) & (size > 0), size, 1.0)
     sweeps = problem.sweeps(values, np.zeros((problem.n_windows, n)), np.diag(weights) / power)
     hessian = np.concatenate([s.hessian_start for s in sweeps])
+    seen = np.sqrt(hessian.sum(axis=0).diagonal())  # of the outputs' own size, over states at the starts of windows
+    alone = np.where(np.isfinite(seen) & (seen > 0), 1 / np.maximum(seen, np.finfo(float).tiny), 1.0)
+    state_scale = np.where(np.isfinite(size) & (size > 0), size, alone)
     starts = -_ridge_solve(hessian, np.concatenate([s.gradient_start for s in sweeps]), state_scale)
     products = problem.error_products(values, starts)
     curvature = known.information / problem.likelihood_size

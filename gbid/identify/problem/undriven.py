@@ -51,17 +51,17 @@ def check_inputs_suffice(
     DataError
         When a free parameter is not determined; names it and the inputs.
     """
+    still = np.all([np.ptp(record.inputs, axis=0) == 0 for record in data.records], axis=0)
+    if not (still.any() or no_inputs):
+        return
     _, m = symbolic_matrices(structure)
     n_u = m.B.shape[1]
     if no_inputs:
         zero = still = np.ones(n_u, bool)
     elif n_u == len(data.input_names):
-        zero = np.all([np.abs(record.inputs).max(0, initial=0.0) == 0 for record in data.records], axis=0)
-        still = np.all([np.ptp(record.inputs, axis=0) == 0 for record in data.records], axis=0)
+        zero = still & np.all([record.inputs[0] == 0 for record in data.records], axis=0)
     else:
         return  # another check reports the number of inputs
-    if not still.any():
-        return
     driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
     acting = [m.A, m.C, m.K, m.B[:, driven], m.D[:, driven], m.B_delayed[:, driven]]
     acting += [m.delay[moving, :]] if m.has_delay else []

@@ -9,6 +9,7 @@ import numpy as np
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.uncertainty.by_windows import grows, information_by_windows
 from gbid.identify.uncertainty.information import information_over_records
 
 _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
@@ -104,9 +105,14 @@ def covariance(
     block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
     block = max(block, min(problem.n_samples // _MOST_BLOCKS, LONGEST_BLOCK))
     shaped = weight @ (error_products / freedom) @ weight
-    found = information_over_records(
-        problem, block, theta, starts, record_window, weight, shaped=shaped, observed=coloured
-    )
+    if grows(problem, theta):
+        found = information_by_windows(
+            problem, block, theta, starts, record_window, weight, shaped, initial_known=initial_known
+        )
+    else:
+        found = information_over_records(
+            problem, block, theta, starts, record_window, weight, shaped=shaped, observed=coloured
+        )
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))

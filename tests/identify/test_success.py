@@ -1,0 +1,251 @@
+"""A success is an estimate: finite, at rest, determined, and better than a constant."""
+
+import warnings
+from importlib import import_module
+
+import numpy as np
+import pytest
+from start_problems import SPRING, start_problem
+
+from gbid import LinearStructure, Parameter, Recording, fit
+from gbid.discretise import discretise
+from gbid.discretise.expm import squarings_for
+from gbid.identify import FitStatus, load_fit, save_fit
+from gbid.identify.nlp import solver
+from gbid.identify.nlp.optimality import distance_from_rest
+from gbid.identify.nlp.solver import solve
+from gbid.identify.nlp.watch import Watch
+from gbid.identify.predictor import Predictor
+from gbid.identify.start.observer import gain_parameters, observer_gain, with_gain
+from gbid.identify.verdict import verdict
+from gbid.structure import LinearModel, evaluate
+
+WILD = {"k": -1000.0, "d": -1.0}
+
+
+@pytest.mark.parametrize("start", [WILD, {"d": -10.0}, {"k": -1e5, "d": -50.0}], ids=["k and d", "d", "far"])
+def test_an_unstable_start_is_moved_to_a_stable_one_and_said(start):
+    problem = start_problem("spring")
+    result = fit(problem.structure, problem.recording, start=start, focus="simulation")
+    best = fit(problem.structure, problem.recording, focus="simulation")
+    assert result.success
+    assert result.loss == pytest.approx(best.loss, rel=1e-6)
+    assert result.notes[0] == (
+        "the start values are unstable: the fit began at values of a fit with a steady observer (Kalman filter)"
+    )
+    assert {result.start_origin[name] for name in start} == {"data"}
+    assert np.linalg.eigvals(evaluate(problem.structure, result.start).A).real.max() < 0
+
+
+@pytest.mark.parametrize("window", [None, 100])
+def test_an_unstable_start_in_windows_of_the_caller(window):
+    problem = start_problem("spring")
+    result = fit(problem.structure, problem.recording, start=WILD, focus="simulation", window=window)
+    assert result.success
+    assert result.options.window == window or window is None
+
+
+@pytest.mark.parametrize("start", [WILD, {"d": -10.0}, {"k": -1e4, "d": -50.0}], ids=["k and d", "d", "far"])
+@pytest.mark.parametrize("window", [None, 100, "auto"])
+def test_a_fit_that_stays_at_an_unstable_model_is_no_success_and_not_white(start, window, monkeypatch):
+    """Where no observer can be found, what stays is a status; whiteness is not believed."""
+    monkeypatch.setattr(import_module("gbid.identify.fit"), "settled_start", lambda *_, **__: None)
+    problem = start_problem("spring")
+    result = fit(problem.structure, problem.recording, start=start, focus="simulation", window=window)
+    variance = float(np.var(problem.recording.signal("y")))
+    assert result.success == (result.loss < variance and np.isfinite(list(result.std.values())).all())
+    if result.loss > variance:
+        assert not result.success
+        assert result.trusted == "robust"
+        assert "not converged" in result.status
+
+
+def test_errors_larger_than_about_the_mean_are_no_success():
+    rng = np.random.default_rng(0)
+    y = 5.0 + rng.standard_normal((500, 1))
+    recording = Recording({"u": rng.standard_normal((500, 1)), "y": y}, 0.1)
+    problem = start_problem("lag")
+    result = fit(problem.structure, recording, focus="simulation", fixed={"a": 3.0})
+    assert result.status is FitStatus.WORSE_THAN_CONSTANT
+    assert result.trusted == "robust"
+    assert fit(problem.structure, recording, focus="simulation", fixed={"a": 3.0}, offsets=True).success
+
+
+def test_an_undetermined_parameter_is_no_success_and_named():
+    """Only the product of two gains acts."""
+    lag = LinearStructure(
+        "lag",
+        [Parameter("a", 3.0), Parameter("g", 2.0), Parameter("h", 1.0)],
+        lambda p: {"A": [[-p.a]], "B": [[p.g * p.h]], "C": [[1]]},
+    )
+    recording = start_problem("lag").recording
+    result = fit(lag, recording, focus="simulation")
+    assert result.status is FitStatus.NOT_DETERMINED
+    assert any("do not determine g, h separately" in note for note in result.notes)
+    assert fit(lag, recording, focus="simulation", fixed={"h": 1.0}).success
+
+
+def test_a_parameter_on_a_bound_is_a_success_without_a_standard_deviation():
+    problem = start_problem("spring")
+    result = fit(problem.structure, problem.recording, focus="simulation", start={"d": 0.5}, bounds={"d": (0.0, 1.0)})
+    assert result.success
+    assert np.isnan(result.std["d"])
+
+
+@pytest.mark.parametrize("name", ["spring", "spring_with_gain", "cross_coupled", "maglev", "free_decay"])
+def test_optimality_is_zero_at_the_minimum_and_counts_standard_deviations(name, monkeypatch):
+    """Away from the minimum it is the distance to it, which is also found from the covariance."""
+    problem = start_problem(name)
+    kept = []
+    monkeypatch.setattr("gbid.identify.nlp.solver._at_rest", _keeping(kept))
+    result = fit(problem.structure, problem.recording, start=problem.true, **problem.options)
+    shooting, box = kept[-1]
+    theta = np.array([result.parameters[name] for name in result.free])
+    shift = 0.01 * np.sqrt(np.diag(result.covariance_white))
+    first, _ = shooting.unpack(shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states))))
+    assert first == pytest.approx(theta)
+    expected = np.sqrt(shift @ np.linalg.solve(result.covariance_white, shift))
+    assert result.optimality < 0.01
+    distance = _distance_when_moved(shooting, box, theta + shift)
+    assert distance == pytest.approx(expected, rel=0.2)  # of the exact Hessian; the step is that of Gauss-Newton
+
+
+def _keeping(kept):
+    own = solver._at_rest
+
+    def at_rest(problem, solution, box, *more):
+        kept.append((problem, box))
+        return own(problem, solution, box, *more)
+
+    return at_rest
+
+
+def _distance_when_moved(shooting, box, theta):
+    """Distance from rest with the window starts that are best at these parameters."""
+    unknowns = shooting.pack(theta, np.zeros((shooting.n_windows, shooting.n_states)))
+    lower, upper = (edge.copy() for edge in box)
+    lower[: shooting.n_theta] = upper[: shooting.n_theta] = unknowns[: shooting.n_theta]
+    return distance_from_rest(shooting, solve(shooting, unknowns, lower, upper).unknowns, box)
+
+
+def test_a_solution_that_has_not_come_to_rest_is_solved_on(monkeypatch):
+    """A solver that takes the first step for rest is not believed."""
+    problem = start_problem("spring")
+    calls, own = [], Watch.eval
+
+    def resting(self, arguments):
+        calls.append(1)
+        self.at_rest = len(calls) == 2
+        return [1] if self.at_rest else own(self, arguments)
+
+    monkeypatch.setattr(Watch, "eval", resting)
+    result = fit(problem.structure, problem.recording, start={"k": 1500.0}, focus="simulation")
+    monkeypatch.undo()
+    assert result.success
+    assert result.optimality < 0.1
+    assert result.loss == pytest.approx(fit(problem.structure, problem.recording, focus="simulation").loss)
+
+
+def test_verdict_of_what_the_solver_calls_converged():
+    good = {"overflows": False, "worse_than_constant": False, "undetermined": np.zeros(2, bool)}
+    assert verdict(FitStatus.CONVERGED, **good) is FitStatus.CONVERGED
+    assert verdict(FitStatus.ITERATION_LIMIT, **good | {"worse_than_constant": True}) is FitStatus.ITERATION_LIMIT
+    assert verdict(FitStatus.CONVERGED, **good | {"overflows": True}) is FitStatus.OVERFLOW
+    assert verdict(FitStatus.CONVERGED, **good | {"worse_than_constant": True}) is FitStatus.WORSE_THAN_CONSTANT
+    dark = np.array([False, True])
+    assert verdict(FitStatus.CONVERGED, **good | {"undetermined": dark}) is FitStatus.NOT_DETERMINED
+
+
+def test_optimality_is_stored(tmp_path):
+    problem = start_problem("lag")
+    result = fit(problem.structure, problem.recording, focus="simulation")
+    save_fit(result, tmp_path / "fit.h5")
+    assert load_fit(tmp_path / "fit.h5").optimality == result.optimality
+
+
+# ---- callbacks ----
+
+
+@pytest.mark.parametrize("start", [{"k": -1e7, "d": -1e4}, {"k": 1e12, "d": -3.0}, WILD])
+def test_nothing_is_printed_and_overflows_are_one_note(start, capfd):
+    problem = start_problem("spring")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        result = fit(problem.structure, problem.recording, start=start, focus="simulation")
+    assert capfd.readouterr() == ("", "")
+    assert sum("overflows at" in note for note in result.notes) <= 1
+
+
+def test_points_without_a_value_are_counted(monkeypatch):
+    problem, own, calls = start_problem("spring"), Predictor.at, []
+
+    def at(self, theta):
+        calls.append(1)
+        if len(calls) in (8, 9):
+            raise OverflowError("cannot convert float infinity to integer")
+        return own(self, theta)
+
+    monkeypatch.setattr(Predictor, "at", at)
+    result = fit(problem.structure, problem.recording, start={"k": 1100.0}, focus="simulation")
+    assert result.success
+    assert any("overflows at" in note and "of the points that the solver tried" in note for note in result.notes)
+
+
+def test_a_defect_in_a_callback_is_raised(monkeypatch):
+    problem, own, calls = start_problem("spring"), Predictor.at, []
+
+    def at(self, theta):
+        calls.append(1)
+        if len(calls) == 8:
+            raise TypeError("a defect")
+        return own(self, theta)
+
+    monkeypatch.setattr(Predictor, "at", at)
+    with pytest.raises(TypeError, match="a defect"):
+        fit(problem.structure, problem.recording, start={"k": 1100.0}, focus="simulation")
+
+
+def test_a_matrix_that_overflows_needs_no_squarings():
+    with np.errstate(over="ignore"):
+        assert squarings_for([np.full((2, 2), 1e200)]) == 0
+
+
+# ---- observer ----
+
+
+def test_observer_is_the_steady_kalman_filter_of_a_random_walk():
+    """For a single integrator with memory L the gain is the positive root of K^2 / (1 - K) = 1 / L^2."""
+    model = LinearModel(np.zeros((1, 1)), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1)))
+    gain = observer_gain(model, 0.1, np.array([0.3]), reach=1.0)
+    L = 256
+    q = 1 / L**2
+    assert gain[0, 0] * 0.1 == pytest.approx((-q + np.sqrt(q * q + 4 * q)) / 2, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["maglev", "pendulum", "spring", "two_masses"])
+def test_observer_makes_any_start_stable(name):
+    problem, rng = start_problem(name), np.random.default_rng(2)
+    for _ in range(5):
+        wild = {key: v * rng.choice([-1, 1]) * 10 ** rng.uniform(-1, 1) for key, v in problem.true.items()}
+        model = evaluate(problem.structure, wild)
+        h = problem.recording.sample_time
+        gain = observer_gain(model, h, np.ones(len(model.C)), reach=1.0)
+        seen = evaluate(with_gain(problem.structure, gain), wild)
+        held = discretise(seen.A, seen.K, h, "zoh")
+        assert np.abs(np.linalg.eigvals(held.F - held.G_now @ seen.C)).max() < 1
+
+
+def test_observer_does_not_exist_for_an_unstable_state_that_is_not_seen():
+    model = LinearModel(np.diag([-1.0, 1.0]), np.ones((2, 1)), np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+    gain = observer_gain(model, 0.1, np.ones(1), reach=1.0)
+    assert gain is None
+
+
+def test_free_gains_come_near_to_the_observer():
+    problem = start_problem("spring_with_gain")
+    gain = np.array([[12.0], [-70.0]])
+    found = gain_parameters(problem.structure, problem.structure.parameters, problem.true, gain)
+    assert found == pytest.approx({"g1": 12.0, "g2": -70.0})
+    assert gain_parameters(start_problem("spring").structure, (), SPRING, gain) == {}
+    held = tuple(q if q.name != "g1" else Parameter("g1", 1.0, fixed=True) for q in problem.structure.parameters)
+    assert gain_parameters(problem.structure, held, problem.true, gain) == pytest.approx({"g2": -70.0})
