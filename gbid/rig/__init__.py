@@ -5,7 +5,7 @@ from gbid.rig.excitation.prbs import Prbs, Stationary
 from gbid.rig.excitation.run_up import RunUp
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults
-from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.controller import LoopProgram, ProgramController, SampledController
 from gbid.rig.machine.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
 from gbid.rig.machine.machine import ActuatorTruth, Machine, RotorBearingTruth, Unbalance
 from gbid.rig.machine.piezo import PiezoStack, PiezoStacks
@@ -25,6 +25,7 @@ __all__ = [
     "FlexibleMode",
     "Hammer",
     "Impact",
+    "LoopProgram",
     "Machine",
     "Motion",
     "NonSynchronous",
@@ -32,6 +33,7 @@ __all__ = [
     "PiezoStacks",
     "Prbs",
     "ProcessNoise",
+    "ProgramController",
     "RotorBearingTruth",
     "RunUp",
     "SampledController",

@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.recording import Recording
-from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.controller import ProgramController, SampledController
 from gbid.rig.machine.machine import Machine
 from gbid.rig.machine.scatter import Scatter
 
@@ -26,7 +26,7 @@ def provenance_of(
     how: str,
     oversampling: int,
     settle_s: float,
-    controller: SampledController | None,
+    controller: SampledController | ProgramController | None,
     scatter: Scatter | None,
     thrown: int,
     touched: Sequence[Span],
@@ -42,7 +42,11 @@ def provenance_of(
         "truth": as_json(machine.rotor_bearing.key_parameters()),
     }
     if controller is not None:
-        texts["controller"] = as_json(asdict(controller))
+        texts["controller"] = as_json(
+            asdict(controller)
+            if isinstance(controller, SampledController)
+            else {"program": controller.name, "sample_time": controller.sample_time}
+        )
     if scatter is not None:
         texts["scatter"] = as_json({**asdict(scatter), "draws_thrown_away": thrown})
     if touched:

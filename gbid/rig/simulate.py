@@ -16,12 +16,13 @@ from gbid.rig.excitation.prbs import Prbs, Stationary, whole_samples
 from gbid.rig.excitation.run_up import RunUp, Turning
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults, with_faults
-from gbid.rig.machine.controller import SampledController
+from gbid.rig.machine.controller import ProgramController, SampledController
 from gbid.rig.machine.machine import ActuatorTruth, Machine
 from gbid.rig.machine.scatter import Scatter, scatter_random, scattered
 from gbid.rig.machine.sensors import TURN, encoder_angle, quantised, runout
 from gbid.rig.provenance import provenance_of, spans
 from gbid.rig.stepping.forces import Forces, draw_noise, draw_whirl
+from gbid.rig.stepping.program_loop import ProgramLoop
 from gbid.rig.stepping.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
 from gbid.rig.stepping.stepped_motion import RigEngine, SteppedMotion, stepped_motion
 from gbid.units import SIGNALS
@@ -41,7 +42,7 @@ def record(
     sample_time: float = 2e-4,
     oversampling: int = MIN_OVERSAMPLING,
     settle_s: float = 0.5,
-    controller: SampledController | None = None,
+    controller: SampledController | ProgramController | None = None,
     scatter: Scatter | None = None,
     faults: Faults | None = None,
     touch_down: WhenTouching = "refuse",
@@ -76,7 +77,7 @@ def record(
         Points per sample, at least 20: output points of the closed form, or time steps.
     settle_s : float
         Time of the experiment before the first sample [s], a whole number of samples or zero.
-    controller : SampledController, optional
+    controller : SampledController or ProgramController, optional
         Closes the loop from the measured p to r, from the start of the settling time.
     scatter : Scatter, optional
         Draws random parameters of rotor and bearing for this recording. They are stored in the provenance.
@@ -167,8 +168,9 @@ def record(
             run.forces,
             sensor,
             sample_time,
-            controller=controller,
-            taken=None if controller is None else controller.subtracted(shown),
+            controller=controller if isinstance(controller, SampledController) else None,
+            taken=controller.subtracted(shown) if isinstance(controller, SampledController) else None,
+            program=_program_loop(controller, turning, time, shown, conditions),
             stack_run=experiment if isinstance(experiment, StackStaircase) else None,
             n_settle=n_settle,
             oversampling=oversampling,
@@ -242,7 +244,23 @@ def _this_time(
     return replace(machine, rotor_bearing=rotor_bearing), thrown
 
 
-def _reasons_to_step(machine: Machine, experiment: Experiment, controller: SampledController | None) -> list[str]:
+def _program_loop(
+    controller: SampledController | ProgramController | None,
+    turning: Turning,
+    time: FloatArray,
+    shown: FloatArray,
+    conditions: Mapping[str, float],
+) -> ProgramLoop | None:
+    """Return the program of the loop with what it sees at the samples; None for another controller."""
+    if not isinstance(controller, ProgramController):
+        return None
+    speed_rpm = turning.speed_at(time) * 60.0 / TURN
+    return ProgramLoop(controller.program, shown, speed_rpm, conditions.get("pressure_bar", 0.0))
+
+
+def _reasons_to_step(
+    machine: Machine, experiment: Experiment, controller: SampledController | ProgramController | None
+) -> list[str]:
     """Return the names of the parts that have no closed form."""
     reasons = machine.beyond_closed_form()
     if isinstance(experiment, Hammer | RunUp | StackStaircase):

@@ -1,8 +1,9 @@
-"""Sampled feedback controller of the rig."""
+"""Sampled feedback controllers of the rig: state-space matrices, or a program."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -81,3 +82,32 @@ class SampledController:
         closed = np.vstack([self.runout, self.runout[:1]])
         wrapped = np.mod(angle, TURN)
         return np.column_stack([np.interp(wrapped, nodes, closed[:, j]) for j in range(2)]) + self.offset
+
+
+class LoopProgram(Protocol):
+    """Program that makes references from samples, as the compiled control chain of a target."""
+
+    def references(self, position: FloatArray, angle: float, pressure_bar: float, speed_rpm: float) -> FloatArray:
+        """Return r_x, r_y [m] for one sample: p_x, p_y as measured [m], shaft angle [rad], and operating point."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class ProgramController:
+    """Feedback by a program that gets each sample in turn; software in the loop.
+
+    Its references act one sample later and are limited to the travel of the stacks, as those of `SampledController`.
+
+    Parameters
+    ----------
+    program : LoopProgram
+        The program.
+    sample_time : float
+        Time between samples [s]; it must be that of the logger.
+    name : str
+        Name of the controller.
+    """
+
+    program: LoopProgram
+    sample_time: float
+    name: str = "program"

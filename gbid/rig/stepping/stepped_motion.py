@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -17,6 +16,7 @@ from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import Machine
 from gbid.rig.machine.piezo import PiezoStacks
 from gbid.rig.stepping.forces import Forces
+from gbid.rig.stepping.program_loop import ProgramLoop, StepRun, run_with_program
 from gbid.rig.stepping.python_twin import run_in_python
 from gbid.rig.stepping.response import MIN_OVERSAMPLING
 from gbid.rig.stepping.step_arrays import ROW, ROW_WIDTH, Chunk, StepArrays, StepState, rest_state, step_arrays
@@ -69,6 +69,7 @@ def stepped_motion(
     *,
     controller: SampledController | None = None,
     taken: FloatArray | None = None,
+    program: ProgramLoop | None = None,
     stack_run: StackStaircase | None = None,
     n_settle: int = 0,
     oversampling: int = MIN_OVERSAMPLING,
@@ -97,6 +98,8 @@ def stepped_motion(
         Controller of the loop; open loop when not given.
     taken : (n, 2) array, optional
         Correction that the controller subtracts from the measured position [m].
+    program : ProgramLoop, optional
+        Program that closes the loop in place of `controller`.
     stack_run : StackStaircase, optional
         Staircase of one stack, which then does not follow the references of its pair.
     n_settle : int
@@ -136,7 +139,12 @@ def stepped_motion(
     for first in range(0, n, _CHUNK):
         part = slice(first, min(first + _CHUNK, n))
         on_grid = forces.between(part.start, part.stop, oversampling)
-        rows[part] = run(arrays, state, Chunk(excitation[part], base[part], on_grid, sensor[part], taken[part]))
+        chunk = Chunk(excitation[part], base[part], on_grid, sensor[part], taken[part])
+        if program is None:
+            rows[part] = run(arrays, state, chunk)
+        else:
+            there = replace(program, angle=program.angle[part], speed_rpm=program.speed_rpm[part])
+            rows[part] = run_with_program(run, arrays, state, chunk, there)
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
     r, u, p, seen, stacks, volts, ended, radius, commands = columns
     return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, how)
@@ -164,10 +172,7 @@ def _base(
     return base
 
 
-_Run = Callable[[StepArrays, StepState, Chunk], FloatArray]
-
-
-def _choose(engine: RigEngine) -> tuple[_Run, str]:
+def _choose(engine: RigEngine) -> tuple[StepRun, str]:
     if engine not in ("auto", "compiled", "python"):
         raise UsageError(f"engine = {engine!r}; choose 'auto', 'compiled' or 'python'")
     if engine == "python":

@@ -7,7 +7,6 @@ from math import modf
 from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller, p_controller
-from gbid.control.loop.sampling import sample_controller
 from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import file_digest
@@ -57,12 +56,15 @@ class LoopController:
     ----------
     continuous, sampled : LinearModel
         Controllers in continuous time and at the sample time of the rig.
+    design : ControllerDesign
+        The design, over all operating points.
     key : str
         Digest of its source, for content keys.
     """
 
     continuous: LinearModel
     sampled: LinearModel
+    design: ControllerDesign
     key: str
 
 
@@ -156,15 +158,16 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
         if design is None:
             raise UsageError(f"model {rig_model(experiment).name!r} comes with no controller; name a controller file")
         continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
-        return LoopController(continuous, sample_controller(continuous, rig.sample_time_s), repr(design))
+        made = ControllerDesign("paper", None, {}, rig.sample_time_s, models={None: continuous})
+        return LoopController(continuous, made.sampled_at(), made, repr(design))
     path = controller_path(experiment, word)
-    made: ControllerDesign = load_controller(path)
+    made = load_controller(path)
     if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
         raise UsageError(
             f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"
         )
     at = (point.pressure_bar, point.speed_rpm)
-    return LoopController(made.at(*at), made.sampled_at(*at), file_digest(path))
+    return LoopController(made.at(*at), made.sampled_at(*at), made, file_digest(path))
 
 
 def controller_path(experiment: Experiment, word: str) -> Path:

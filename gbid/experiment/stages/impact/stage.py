@@ -7,9 +7,6 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from gbid.arrays import FloatArray
 from gbid.control.impact.impact_store import load_impacts, mode_rows, response_rows, save_impacts
 from gbid.control.impact.study import ImpactStudy, study_impacts
 from gbid.errors import GbidError
@@ -20,6 +17,7 @@ from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.stage import Stage, Work
 from gbid.experiment.stages.impact.checks import impacts_can_be_made
+from gbid.experiment.stages.impact.loop_program import loop_of, loop_settings
 from gbid.experiment.stages.impact.plan import (
     ImpactRecording,
     LoopController,
@@ -33,13 +31,12 @@ from gbid.experiment.stages.impact.plan import (
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options
 from gbid.recording import Recording, save_recording
-from gbid.rig import Machine, SampledController, Stationary, record
+from gbid.rig import record
 from gbid.tables.csv import write_csv
 from gbid.tables.table import table_of_records
 
 FOLDER = "impacts"
 RECORDINGS = "impacts/recordings"
-_ZEROING_S = 0.5
 
 
 def recording_tasks(job: Job) -> Work:
@@ -116,6 +113,7 @@ def recording_key(experiment: Experiment, impact: ImpactRecording) -> str:
         "experiment": {"hammer": asdict(hammer_of(section, impact.axis, rig.sample_time_s))},
         "machine": asdict(machine_at(experiment, impact.planned, rig_model(experiment))),
         "controller": _controller(experiment, impact).key if impact.loop != "open" else "",
+        **(loop_settings(experiment) if impact.loop != "open" else {}),
     }
     return content_key("impact", settings)
 
@@ -156,21 +154,9 @@ def _write_recording(job: Job, name: str, part: Path) -> None:
         machine_at(experiment, impact.planned, rig_model(experiment)),
         record_options(experiment, impact.planned),
     )
-    running = None
-    if impact.loop != "open":
-        sampled = _controller(experiment, impact).sampled
-        matrices = (np.array(m) for m in (sampled.A, sampled.B, sampled.C, sampled.D))
-        A, B, C, D = matrices
-        zero = _zero(machine, options)
-        running = SampledController(A, B, C, D, rig.sample_time_s, offset=zero, name=sampled.name)
+    running = None if impact.loop == "open" else loop_of(experiment, _controller(experiment, impact), machine, options)
     hammer = hammer_of(section, impact.axis, rig.sample_time_s)
     save_recording(record(machine, hammer, **options, controller=running), part, overwrite=True)
-
-
-def _zero(machine: Machine, options: dict[str, Any]) -> FloatArray:
-    """Return the zero position of the controller [m]: the mean of a stationary run at the same shaft angle."""
-    still = record(machine, Stationary(_ZEROING_S), **{**options, "faults": None})
-    return np.asarray(still.signal("p").mean(axis=0))
 
 
 def _write_study(job: Job, name: str, part: Path) -> Made:

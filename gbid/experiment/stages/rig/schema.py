@@ -241,7 +241,12 @@ class FaultSection(Section):
 
 
 class RigSection(Section):
-    """Recordings of the virtual rig."""
+    """Recordings of the virtual rig.
+
+    `controller`: what closes the loop of impacts: ``python``, the sampled matrices in the program of the rig, or
+    ``compiled``, the control chain in C as it is exported, with the options of the section target (its ramps are
+    shortened to the settling time).
+    """
 
     model: Text = "theisen2016"
     seed: CountOrZero = 1
@@ -250,6 +255,7 @@ class RigSection(Section):
     settle_s: NotNegative = 0.5
     sample_time_s: Positive = 2e-4
     oversampling: Annotated[int, Strict(), Field(ge=20)] = 20
+    controller: Literal["python", "compiled"] = "python"
     touch_down: Literal["refuse", "flag"] = "refuse"
     clearance_m: Positive = 25e-6
     moving_mass_kg: Positive = Machine.moving_mass

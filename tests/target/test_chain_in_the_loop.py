@@ -1,0 +1,137 @@
+"""Software in the loop: the compiled chain on the rig in place of its matrices, measured by impacts."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from chain_cases import BIQUAD, design
+
+import gbid
+from gbid.control import load_impacts
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.experiment.stages.impact.plan import planned_impacts
+from gbid.experiment.stages.impact.stage import recording_key
+from gbid.rig import Hammer, Impact, Machine, ProgramController, SampledController, record
+from gbid.target import ChainOptions, CompiledChain, chain_of
+
+pytestmark = pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+EXPERIMENT = """\
+format: 1
+name: loop
+rig:
+  model: theisen2016
+  controller: {controller}
+  operating_points: [{{pressure_bar: 6.0, speed_rpm: {speed}}}]
+  duration_s: 1.0
+  prbs: {{recordings: 0}}
+  sensors: {{noise_p_m: {noise}}}
+impacts:
+  loops: [closed]
+  controller: {word}
+  repeats: {repeats}
+  operating_points: [{{pressure_bar: 6.0, speed_rpm: {speed}}}]
+"""
+
+
+@pytest.mark.parametrize("engine", ["compiled", "python"])
+def test_on_the_rig_the_chain_is_the_sampled_controller(engine: str) -> None:
+    model = gbid.load_model("theisen2016")
+    machine = Machine.from_parameters(model.key_parameters(6.0, 0.0), model.actuators)
+    controller = design("P")
+    sampled = controller.sampled_at()
+    zero = (2.0e-6, -3.0e-6)
+    parts = [np.array(getattr(sampled, letter)) for letter in "ABCD"]
+    matrices = SampledController(*parts, 2e-4, offset=zero)
+    chain = chain_of(controller, options=ChainOptions(ramp_s=0.02, fade_s=0.02, zero_m=zero))
+    program = ProgramController(CompiledChain(chain), 2e-4)
+    duration = 0.1 if engine == "python" else 0.4
+    runs = [
+        record(
+            machine,
+            Hammer((Impact.along("x", 0.02),), duration),
+            conditions={"pressure_bar": 6.0, "speed_rpm": 0.0},
+            seed=1,
+            name="impact",
+            controller=each,
+            settle_s=0.2,
+            engine=engine,  # type: ignore[arg-type]
+        )
+        for each in (matrices, program)
+    ]
+    assert runs[1].signal("r").std() > 1e-6
+    for signal in ("r", "p", "u"):
+        np.testing.assert_allclose(
+            runs[1].signal(signal), runs[0].signal(signal), rtol=0, atol=2e-11
+        )  # transient of the fade
+    assert "program" in runs[1].provenance["controller"]
+
+
+def run(folder: Path, **words: object) -> list[tuple[float, float, float, float]]:
+    """Return measured and designed frequency and damping of each mode."""
+    from gbid.cli.main import app
+
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / "loop.yaml"
+    path.write_text(EXPERIMENT.format(**words), encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        app(["impact", str(path)], prog_name="gbid")
+    assert not ended.value.code
+    (stored,) = (folder / "results" / "loop" / "impacts").glob("*.h5")
+    study = load_impacts(stored)
+    return [(*m, *e) for m, e in zip(study.ringdown.modes(), study.expected_sampled, strict=True)]
+
+
+def test_impacts_on_the_compiled_chain_show_the_designed_damping(tmp_path: Path) -> None:
+    words = {"speed": 2050, "noise": 3e-9, "repeats": 2, "word": "paper"}
+    for _, damping, _, designed in run(tmp_path, controller="compiled", **words):
+        assert damping == pytest.approx(designed, rel=0.01)
+        assert designed > 0.4
+
+
+def test_the_key_knows_what_closes_the_loop(tmp_path: Path) -> None:
+    path = tmp_path / "loop.yaml"
+    keys = []
+    for controller, target in (("python", ""), ("compiled", ""), ("compiled", "target: {median: 3}\n")):
+        text = EXPERIMENT.format(controller=controller, speed=0, noise=3e-9, repeats=2, word="paper")
+        path.write_text(text + target, encoding="utf-8")
+        experiment = Job(load_experiment(path)).experiment
+        keys.append(recording_key(experiment, next(iter(planned_impacts(experiment).values()))))
+    assert len(set(keys)) == 3
+
+
+@pytest.mark.slow
+def test_study_of_the_published_controller_in_the_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Damping by 20 impacts per axis, against the designed damping; prints the table."""
+    rows = []
+    for speed in (0, 2050, 6000):
+        found = run(tmp_path / f"n{speed}", controller="compiled", speed=speed, noise=30e-9, repeats=20, word="paper")
+        rows += [(speed, *row) for row in found]
+    with capsys.disabled():
+        for speed, f, d, f0, d0 in rows:
+            measured, designed = f"{f:7.2f} Hz {d:.4f}", f"{f0:7.2f} Hz {d0:.4f}"
+            sys.stdout.write(f"P {speed:5} rpm: {measured}, designed {designed}, {100 * (d / d0 - 1):+.2f} %\n")
+    assert all(abs(d / d0 - 1) < 0.01 for *_, d, _, d0 in rows)
+
+
+@pytest.mark.slow
+def test_study_of_a_biquad_in_the_loop(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two modes fitted to impacts: the compiled chain against the matrices in the rig; prints both.
+
+    A loop with a biquad has more than two modes that ring, so that two fitted modes are none of the loop alone. They
+    are the same for both ways to run the controller.
+    """
+    biquad = tmp_path / "biquad.yaml"
+    gbid.save_controller(biquad, "biquad", {**BIQUAD, "b2_x": 0.0, "b2_y": 0.0}, name="biquad")
+    words = {"speed": 2050, "noise": 3e-9, "repeats": 5, "word": str(biquad)}
+    matrices, compiled = (run(tmp_path / mode, controller=mode, **words) for mode in ("python", "compiled"))
+    with capsys.disabled():
+        for one, other in zip(matrices, compiled, strict=True):
+            sys.stdout.write(
+                f"biquad: matrices {one[0]:7.2f} Hz {one[1]:.4f}, chain {other[0]:7.2f} Hz {other[1]:.4f}\n"
+            )
+    np.testing.assert_allclose([row[1] for row in compiled], [row[1] for row in matrices], rtol=0.01)
