@@ -30,11 +30,13 @@ if TYPE_CHECKING:
     from gbid.control.assessment.assess import assess
     from gbid.control.tuning.tune import tune
     from gbid.identify import (
+        DelayEstimate,
         FitResult,
         FitTable,
         MeasuredResponse,
         MultiStart,
         Progress,
+        estimate_delay,
         fit_multistart,
         load_fit,
         load_table,
@@ -64,6 +66,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "DelayEstimate",
     "FitResult",
     "FitTable",
     "GainResult",
@@ -100,6 +103,7 @@ __all__ = [
     "controller_structure",
     "cross_validate",
     "cross_validate_many",
+    "estimate_delay",
     "fit",
     "fit_lpv",
     "fit_lpv_direct",
@@ -141,7 +145,15 @@ _HOME = {
     ),
     "identify": (
         *("FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart"),
-        *("load_fit", "load_table", "save_fit", "MeasuredResponse", "measured_response"),
+        *(
+            "load_fit",
+            "load_table",
+            "save_fit",
+            "MeasuredResponse",
+            "measured_response",
+            "DelayEstimate",
+            "estimate_delay",
+        ),
     ),
     "interchange": ("save_csv", "save_mat"),
     "lpv": (

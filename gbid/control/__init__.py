@@ -24,6 +24,7 @@ from gbid.control.loop.close import close_loop
 from gbid.control.loop.curves import SensitivityData, sensitivity_data
 from gbid.control.loop.damping import smallest_damping
 from gbid.control.loop.force_entry import force_entry, static_force_gain
+from gbid.control.loop.iso_zones import ISO_LIMITS, SensitivityZones, iso_zone, sensitivity_zones
 from gbid.control.loop.margins import (
     DiskMargin,
     LoopMargins,
@@ -61,6 +62,7 @@ from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.tune import tune
 
 __all__ = [
+    "ISO_LIMITS",
     "Assessment",
     "BiquadStructure",
     "Comparison",
@@ -105,6 +107,7 @@ __all__ = [
     "SearchStep",
     "Sensitivities",
     "SensitivityData",
+    "SensitivityZones",
     "SlowestPole",
     "StaticAmplification",
     "Uncertainty",
@@ -123,6 +126,7 @@ __all__ = [
     "fit_ringdown",
     "force_entry",
     "impact_response",
+    "iso_zone",
     "load_controller",
     "load_impacts",
     "loop_margins",
@@ -140,6 +144,7 @@ __all__ = [
     "scheduled",
     "sensitivities",
     "sensitivity_data",
+    "sensitivity_zones",
     "slow_poles",
     "smallest_damping",
     "static_amplification",

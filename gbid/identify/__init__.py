@@ -1,7 +1,10 @@
 """Identification: start values, predictor, shooting windows, solver, covariance, result."""
 
 from gbid.identify.curves.bode import Bode, bode
+from gbid.identify.curves.delay_estimate import DelayEstimate, estimate_delay
 from gbid.identify.curves.measured_response import MeasuredResponse, measured_response
+from gbid.identify.curves.pole_zero import PoleZero, pole_zero
+from gbid.identify.curves.time_response import TimeResponse, time_response
 from gbid.identify.curves.uncertain_model import ModelLike, ModelSlopes, UncertainModel
 from gbid.identify.data import select
 from gbid.identify.fit import fit
@@ -18,6 +21,7 @@ from gbid.identify.uncertainty.whiteness import Whiteness, correlation, whitenes
 
 __all__ = [
     "Bode",
+    "DelayEstimate",
     "FitOptions",
     "FitResult",
     "FitStatus",
@@ -27,21 +31,26 @@ __all__ = [
     "ModelLike",
     "ModelSlopes",
     "MultiStart",
+    "PoleZero",
     "Progress",
     "StartsTried",
     "TableEntry",
+    "TimeResponse",
     "UncertainModel",
     "Whiteness",
     "bode",
     "correlation",
+    "estimate_delay",
     "fit",
     "fit_multistart",
     "load_fit",
     "load_table",
     "measured_response",
+    "pole_zero",
     "save_fit",
     "save_table",
     "select",
     "tabulate",
+    "time_response",
     "whiteness_test",
 ]

@@ -7,6 +7,7 @@ from scipy.signal import lfilter
 from shooting_problem import problem
 
 from gbid.identify import fit
+from gbid.identify.nlp.exact_columns import exact_columns
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.uncertainty.information import information_over_records
 from gbid.recording import Recording
@@ -41,6 +42,18 @@ def test_the_observed_information_is_the_slope_of_the_gradient(options):
     assert found.observed.shape == (n_all, n_all)
     np.testing.assert_allclose(found.observed / size, expected / size, atol=2e-4)
     assert np.abs((found.hessian - expected) / size).max() > 0.05  # Gauss-Newton leaves something out
+
+
+def test_columns_of_an_overflow_are_not_finite():
+    """A fit that ended far off, with exact delays: its status says so, without an exception from a delay of nan."""
+    shooting, unknowns = problem()
+    joined, kept = in_one_window(shooting)
+    theta, starts = joined.unpack(unknowns[kept])
+    shares = [np.full(len(part.index), np.nan) for part in joined.parts]
+    weight = np.eye(joined.error_products(joined.values(theta), starts).shape[0])
+    ends = np.zeros_like(starts)
+    for found in exact_columns(joined, theta, starts, ends, shares, weight):
+        assert np.isnan(found.theta).all()
 
 
 def passed_on(joined, theta, starts):

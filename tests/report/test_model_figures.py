@@ -7,8 +7,11 @@ from fit_cases import MODE, MODE_AT, levels, simulated
 from matplotlib.figure import Figure
 
 from gbid import report
+from gbid.control import iso_zone, p_controller, sensitivities, sensitivity_zones
 from gbid.errors import UsageError
 from gbid.identify import fit, measured_response
+from gbid.lpv import load_model
+from gbid.recording import Recording
 from gbid.structure import LinearModel, evaluate
 
 
@@ -72,3 +75,92 @@ def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path):
     lines = (folder / f"{names[0]}.csv").read_text().splitlines()
     assert lines[2].startswith("output,input,frequency_hz,magnitude,magnitude_std")
     assert gbid("run", path) == 0  # kept: the key in the text is found again
+
+
+# ---- poles, responses, loops, rotation ----
+
+
+def test_poles_with_ellipses_and_several_models(result):
+    axes = report.plot_poles({"fit": result, "truth": evaluate(MODE, MODE_AT)})
+    found = report.pole_data(result)["mode"]
+    crosses = [line for line in axes.lines if line.get_marker() == "x"]
+    np.testing.assert_array_equal(crosses[0].get_xdata(), found.poles.real)
+    rings = [line for line in axes.lines if len(line.get_xdata()) == 60]
+    assert len(rings) == 2  # one for each pole of the fit, none for the plain model
+    at = np.column_stack(rings[0].get_data()) - [found.poles[0].real, found.poles[0].imag]
+    assert np.abs(at[:, 0]).max() == pytest.approx(
+        np.sqrt(-2 * np.log(0.05) * found.pole_covariance[0, 0, 0]), rel=0.01
+    )
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["fit", "truth"]
+
+
+@pytest.mark.parametrize(("plot", "kind"), [(report.plot_step, "step"), (report.plot_impulse, "impulse")])
+def test_responses_with_bands(result, plot, kind):
+    axes = plot({"fit": result, "truth": evaluate(MODE, MODE_AT)}, duration_s=3.0)
+    data = report.response_data({"fit": result}, kind, 3.0)["fit"]
+    assert axes.shape == (1, 1)
+    np.testing.assert_array_equal(axes[0, 0].lines[1].get_ydata(), data.value[:, 0, 0])
+    assert len(axes[0, 0].collections) == 1
+    assert axes[0, 0].get_ylabel() == f"{kind} response"
+
+
+def test_responses_of_several_models_share_their_time(result):
+    slow = evaluate(MODE, {**MODE_AT, "w": 0.5})
+    data = report.response_data([result, slow])
+    assert len({curve.time_s[-1] for curve in data.values()}) == 1
+
+
+def test_zones_of_a_loop_are_those_of_its_peaks():
+    machine = load_model("theisen2016")
+    plant = machine.plant_at(6, 0)
+    loop = sensitivities(plant, p_controller(1.125, 0.99))
+    data = sensitivity_zones(loop)
+    f = np.geomspace(0.1, 5000, 20_000)
+    dense = np.abs(np.diagonal(loop.response("output", f), axis1=1, axis2=2)).max(0)
+    np.testing.assert_allclose(data.peak, dense, rtol=1e-3)
+    assert (data.peak <= loop.peak().value + 1e-9).all()
+    assert data.zone == ("A", "A")
+    axes = report.plot_iso_zones(loop)
+    assert [text.get_text() for text in axes.texts] == ["A", "B", "C", "D"]
+    unstable = sensitivity_zones(sensitivities(plant, p_controller(-40.0, 0.99)))
+    assert not sensitivities(plant, p_controller(-40.0, 0.99)).is_stable()
+    assert (unstable.zone, np.isinf(unstable.peak).all()) == (("D", "D"), True)
+
+
+@pytest.mark.parametrize(("peak", "zone"), [(1.0, "A"), (3.0, "A"), (3.01, "B"), (4.5, "C"), (5.1, "D"), (np.inf, "D")])
+def test_limits_of_the_zones(peak, zone):
+    assert iso_zone(peak) == zone
+
+
+def test_campbell_diagram(rec, result):
+    faster = fit(MODE, simulated(MODE, {**MODE_AT, "w": 7.0}, levels(600, hold=2), noise=0.3), focus="simulation")
+    data = report.campbell_data({600.0: faster, 0.0: result, 300.0: evaluate(MODE, MODE_AT)})
+    assert data.speed_rpm.tolist() == [0.0, 300.0, 600.0]
+    assert data.frequency_hz[0, 0] == pytest.approx(result.model.modes()[0][0])
+    assert data.std_hz[2, 0] == pytest.approx(faster.modes_std[0, 0], rel=1e-9)
+    assert np.isnan(data.std_hz[1, 0])
+    axes = report.plot_campbell(data, orders=(1.0,))
+    line = next(line for line in axes.lines if len(line.get_xdata()) == 2)
+    assert line.get_ydata()[-1] == 10.0  # 600 rpm
+    with pytest.raises(UsageError, match="no model"):
+        report.plot_campbell({})
+
+
+def test_orbit_and_its_mean_over_the_revolutions():
+    t = 1e-3 * np.arange(4000)
+    phi = 2 * np.pi * 7.3 * t
+    random = np.random.default_rng(0)
+    p = 1e-6 * np.column_stack([3 * np.cos(phi), 2 * np.sin(phi)]) + 4e-5 + 2e-7 * random.normal(size=(4000, 2))
+    rec = Recording({"p": p, "phi": np.mod(phi, 2 * np.pi)[:, None]}, 1e-3, units={"p": "m", "phi": "rad"})
+    data = report.orbit_data(rec)
+    assert np.abs(data.mean[:, 0]).max() == pytest.approx(3e-6, rel=0.05)
+    assert np.abs(data.mean[:, 1]).max() == pytest.approx(2e-6, rel=0.05)
+    axes = report.plot_orbit(rec)
+    assert axes.get_xlabel() == "$p_{x}$ [µm]"
+    still = Recording({"p": p}, 1e-3, units={"p": "m"})
+    assert len(report.orbit_data(still, from_s=1.0, to_s=2.0).mean) == 0
+    assert len(report.orbit_data(still, from_s=1.0, to_s=2.0).xy) == 1000
+    with pytest.raises(UsageError, match="no samples"):
+        report.orbit_data(still, from_s=9.0)
+    with pytest.raises(UsageError, match="two channels"):
+        report.orbit_data(rec, "phi")

@@ -82,6 +82,11 @@ def exact_columns(
         PartHessian(np.zeros((len(own),) * 2), np.zeros((part.blocks.n_windows, len(own), problem.n_states)))
         for part, own in zip(problem.parts, everything, strict=True)
     ]
+    if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
+        for found in columns:
+            found.theta.fill(np.nan)
+            found.mixed.fill(np.nan)
+        return columns
     for k in range(max(map(len, wanted))):
         moved = [
             _moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0)

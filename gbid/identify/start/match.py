@@ -12,6 +12,7 @@ from gbid.arrays import ComplexArray, FloatArray
 from gbid.identify.predictor import Predictor
 
 _SAME, _AGREEING = 1e-3, 3  # largest relative difference of equal misfits, and the number of them that is enough
+_POOR = 0.3  # smallest misfit that is not believed, however often it is found
 _CAPPED = 1e12  # largest size of a residual, so that squares of wild starts stay finite
 
 
@@ -90,7 +91,7 @@ def match(
         rough = _solve(predictor, target, start, lower, upper, True, 60)
         found.append(_solve(predictor, target, rough.theta, lower, upper, False, 100))
         least = min(each.misfit for each in found)
-        if sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in found) >= _AGREEING:
+        if least < _POOR and sum(each.misfit <= least * (1 + _SAME) + 1e-9 for each in found) >= _AGREEING:
             break
     return min(found, key=lambda each: each.misfit)
 
