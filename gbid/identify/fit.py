@@ -148,7 +148,7 @@ def fit(
     out_names = as_names(structure.outputs if outputs is None else outputs)
     hold = structure.intersample if intersample is None else intersample
     given = _given_starts(start)
-    parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {})
+    parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {}, from_data=isinstance(start, str))
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
 
@@ -266,6 +266,8 @@ def _with_options(
     start: Mapping[str, float],
     fixed: Mapping[str, float],
     bounds: Mapping[str, tuple[float, float]],
+    *,
+    from_data: bool,
 ) -> tuple[Parameter, ...]:
     """Return the parameters with the start values, fixed values and bounds of the caller."""
     for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
@@ -276,7 +278,10 @@ def _with_options(
             changed.append(Parameter(q.name, float(fixed[q.name]), fixed=True, unit=q.unit))
             continue
         lower, upper = bounds.get(q.name, (q.lower, q.upper))
-        changed.append(replace(q, start=start.get(q.name, q.start), lower=lower, upper=upper))
+        stated = start.get(q.name, q.start)
+        if from_data and stated is not None and not lower <= stated <= upper:
+            stated = None  # it would be one of many starts of a match, and lies outside of the bounds of the caller
+        changed.append(replace(q, start=stated, lower=lower, upper=upper))
     return tuple(changed)
 
 

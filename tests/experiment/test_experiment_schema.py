@@ -78,6 +78,7 @@ def test_numbers_of_yaml_1_2_are_numbers(tmp_path):
         ("stop: paper", "left_out: {p5_n6000_prbs1: 3}", "p5_n6000_prbs1: 3", ["left_out.p5_n6000_prbs1", "a list"]),
         ("stop: paper", "engine: fast", "engine: fast", ["fits.bearing.engine", "'numpy'", "'fast'"]),
         ("stop: paper", "multi_start: {starts: 1}", "starts: 1", ["multi_start.starts", "at least 2"]),
+        ("stop: paper", "start: dta", "start: dta", ["or the word data, found 'dta'"]),
         ("stop: paper", "multi_start: {sead: 1}", "sead: 1", ["did you mean 'seed'"]),
         ("gain: diagonal", "gain: diagonal, delay: exakt", "delay: exakt", ["options.delay", "'exact'"]),
         ("name: quick", "name: 2024", "name: 2024", ["name", "text", "quotes"]),

@@ -353,6 +353,16 @@ def test_local_parameters_say_nothing_of_another_recording(tmp_path):
     assert "there are none for recording 'run3'" in outcomes[-1].text
 
 
+def test_starts_from_the_data(tmp_path):
+    path = write_spring(tmp_path, ("focus: simulation", "focus: simulation, start: data"))
+    job = Job(load_experiment(path))
+    run_stage(job, IMPORT)
+    run_stage(job, FIT)
+    result = load_made_fit(job, "spring", "run1")
+    assert set(result.start_origin.values()) == {"data"}
+    assert any("by a subspace model with 2 states" in note for note in result.notes)
+
+
 def test_several_starts_are_counted(tmp_path):
     path = write_spring(
         tmp_path, ("focus: simulation", "focus: simulation, multi_start: {starts: 4, seed: 5, reach: 0.1}")

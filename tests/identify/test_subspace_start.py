@@ -184,6 +184,16 @@ def test_starts_stay_within_bounds():
     assert 3.0 <= result.start["d2"] <= 9.0
 
 
+def test_bounds_of_the_caller_count_more_than_a_stated_start():
+    rec = BY_NAME["lag with dead time"].make(0)
+    stated = LinearStructure(
+        "lag", [Parameter("gain", 5.0), Parameter("T", 9.0), Parameter("dead_time", 0.0)], LATE_LAG.matrices
+    )
+    result = fit(stated, rec, start="data", bounds={"gain": (-10.0, 0.0), "T": (0.01, 2.0), "dead_time": (0.0, 2.0)})
+    assert result.status.success
+    assert result.parameters["dead_time"] == pytest.approx(0.73, abs=0.02)
+
+
 def test_a_structure_that_does_not_fit_says_so():
     rec = simulated(MODE, {**MODE_AT, "z": 0.01}, levels(800), noise=0.1, seed=7)
     lag = LinearStructure(

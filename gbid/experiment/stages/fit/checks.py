@@ -45,7 +45,7 @@ def parameters_are_known(experiment: Experiment) -> Found:
         known = {q.name: q for q in structure.parameters}
         disturbing = _disturbing(experiment, name, structure)
         given: dict[str, Collection[str]] = {
-            "start": section.start,
+            "start": _given_starts(section),
             "fixed": section.fixed,
             "bounds": section.bounds,
             "prior": section.prior,
@@ -71,6 +71,11 @@ def _disturbing(experiment: Experiment, fit: str, structure: Structure) -> list[
         return []
 
 
+def _given_starts(section: FitSection) -> Mapping[str, float]:
+    """Return the start values of a section; none where the fit finds them in the data."""
+    return {} if isinstance(section.start, str) else section.start
+
+
 def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter]) -> Found:
     """Yield a problem for bounds that are not in order or exclude the start value."""
     for parameter, (low, high) in section.bounds.items():
@@ -79,10 +84,10 @@ def _bounds_hold(name: str, section: FitSection, known: Mapping[str, Parameter])
         if not lower < upper:
             yield where, f"the lower bound {lower:g} is not below the upper one {upper:g}; swap or change them"
         elif parameter in known:
-            start = section.start.get(parameter, known[parameter].start)
-            if start is not None and not lower <= start <= upper:
+            start = _given_starts(section).get(parameter, known[parameter].start)
+            if start is not None and section.start != "data" and not lower <= start <= upper:
                 yield where, f"the bounds exclude the start value {start:g}; widen them or give another start"
-    for parameter, start in section.start.items():
+    for parameter, start in _given_starts(section).items():
         if parameter in known and parameter not in section.bounds:
             lower, upper = known[parameter].lower, known[parameter].upper
             if not lower <= start <= upper:

@@ -42,6 +42,12 @@ def _initial_state(value: Any) -> Any:
     return tuple(float(v) for v in numbers)
 
 
+def _start(value: Any) -> Any:
+    if isinstance(value, str) and value != "data":
+        raise ValueError(f"expected values by the names of parameters, or the word data, found {value!r}")
+    return value
+
+
 def _trend(value: Any) -> Any:
     for word in value.values() if isinstance(value, dict) else (value,):
         if not (isinstance(word, str) and word in TREND_WORDS) and not (
@@ -108,7 +114,11 @@ class FitSection(Section):
     stop: Literal["tolerance", "paper"] = "tolerance"
     max_iterations: Count = 100
     engine: Literal["auto", "compiled", "numpy"] = "auto"
-    start: dict[Text, Number] = Field(default_factory=dict)
+    start: Annotated[
+        dict[Text, Number] | Literal["data"],
+        BeforeValidator(_start),
+        WithJsonSchema({"anyOf": [{"const": "data"}, {"type": "object", "additionalProperties": {"type": "number"}}]}),
+    ] = Field(default_factory=dict)
     fixed: dict[Text, Number] = Field(default_factory=dict)
     bounds: dict[Text, tuple[Number | None, Number | None]] = Field(default_factory=dict)
     prior: dict[Text, PriorSection] = Field(default_factory=dict)
