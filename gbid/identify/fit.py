@@ -17,7 +17,7 @@ from gbid.identify.data import gather
 from gbid.identify.disturbances.asked import TrendName, asked_disturbances
 from gbid.identify.disturbances.disturbance_starts import disturbance_starts, without_disturbances
 from gbid.identify.kernel.engine import EngineName
-from gbid.identify.nlp.shooting import Criterion
+from gbid.identify.nlp.shooting import Criterion, Shooting
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.stability import spectral_radius
 from gbid.identify.nlp.watch import Progress, Stop
@@ -29,6 +29,8 @@ from gbid.identify.problem.assembly import Scope, assemble, automatic_window, fu
 from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
+from gbid.identify.robust.loss import LossName, robust_loss
+from gbid.identify.robust.reweighting import reweighted_solution
 from gbid.identify.start.begin import begin_values
 from gbid.identify.start.settled_start import settled_start
 from gbid.recording import Recording
@@ -55,6 +57,8 @@ def fit(
     prior: Mapping[str, tuple[float, float]] | None = None,
     local: Mapping[str, Scope] | None = None,
     offsets: bool = False,
+    robust: LossName | None = None,
+    robust_threshold: float | None = None,
     trend: TrendName | Mapping[str, TrendName] = "none",
     hum: float | Sequence[float] = (),
     initial_state: InitialState = "estimated",
@@ -102,6 +106,12 @@ def fit(
         Parameters with a separate value for each recording or operating point.
     offsets : bool
         Whether a constant offset of each output is estimated for each recording; the same as ``trend="offset"``.
+    robust : {"huber", "student"}, optional
+        Loss for data with outliers; by default squared errors. A sample counts less the larger its errors are compared
+        with the others. The loss and `error_covariance` of the result are those of all samples, as without it.
+    robust_threshold : float, optional
+        Huber: errors in standard deviations up to which a sample counts in full. Student: degrees of freedom. By
+        default the standard deviations are 2.6 % larger than with squared errors, when the errors are normal.
     trend : {"none", "offset", "linear", "random walk"}, int or dict
         Trend of the outputs, estimated along for each recording: a polynomial of time of this degree (0 to 9), or an
         offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
@@ -154,6 +164,7 @@ def fit(
 
     if criterion == "auto":
         criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
+    loss = robust_loss(robust, robust_threshold, len(data.output_names))
     disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
@@ -187,10 +198,13 @@ def fit(
         lower, upper = unknown_bounds(problem, assembly, initial_state)
         inside = np.clip(unknowns, lower, upper)
 
-        def run(begin: FloatArray) -> Solution:
-            return solve(problem, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
+        def run(begin: FloatArray, posed: Shooting = problem) -> Solution:
+            return solve(posed, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
 
         solution, more = lowest_of_several(problem, run(inside), (lower, upper), run)
+        light = None
+        if loss is not None and solution.status.success:
+            light, solution = reweighted_solution(problem, solution, loss, run)
         options = FitOptions(
             inputs=in_names,
             outputs=out_names,
@@ -201,11 +215,12 @@ def fit(
             stop=stop,
             initial_state=initial_state if isinstance(initial_state, str) else "given",
             disturbances=disturbances,
+            robust=loss,
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
         )
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
-        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options)
+        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, light)
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
         result = replace(result, notes=(*result.notes, *notes))
         doubtful = result.trusted == "robust" and strongly_coloured(problem, solution.unknowns)

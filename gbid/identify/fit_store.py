@@ -29,6 +29,7 @@ def _from_schema_1(file: h5py.File) -> None:
         horizon=int(options["horizon"]),
         intersample=tuple(hold * len(inputs) if len(hold) == 1 else hold),
         disturbances=_offsets(outputs, all(f"offset_{name}" in estimated for name in outputs)),
+        robust=None,
         window=None if options["window"] == "one per recording" else int(options["window"]),
         **{key: options[key] for key in ("focus", "criterion", "stop", "initial_state", "engine")},
     )

@@ -11,6 +11,7 @@ from gbid.identify.kernel.engine import RunEngine
 from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.watch import Stop
 from gbid.identify.predictor import Focus
+from gbid.identify.robust.loss import RobustLoss
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class FitOptions:
         Initial state of each recording.
     disturbances : Disturbances
         Trends and hum of the outputs that were estimated along.
+    robust : RobustLoss or None
+        Robust loss; None for squared errors.
     window : int or None
         Number of samples in a shooting window; None for one window per recording.
     engine : {"compiled", "numpy"}
@@ -50,5 +53,6 @@ class FitOptions:
     stop: Stop
     initial_state: Literal["estimated", "zero", "given"]
     disturbances: Disturbances
+    robust: RobustLoss | None
     window: int | None
     engine: RunEngine

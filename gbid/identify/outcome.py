@@ -17,6 +17,7 @@ from gbid.identify.nlp.solver import Solution
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
 from gbid.identify.result import FitResult
+from gbid.identify.robust.reweighting import Reweighted
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.uncertainty.whiteness import whiteness_and_memory, whiteness_test
@@ -39,6 +40,7 @@ def outcome(
     begin: Mapping[str, float],
     origin: Mapping[str, str],
     options: FitOptions,
+    light: Reweighted | None = None,
 ) -> FitResult:
     """Return the result of a fit, evaluated at the solution.
 
@@ -54,6 +56,8 @@ def outcome(
         Origin of each start value.
     options : FitOptions
         Options of the fit.
+    light : Reweighted, optional
+        Problem with the weights of a robust loss; its solution is `solution`.
 
     Returns
     -------
@@ -63,13 +67,16 @@ def outcome(
     free = assembly.free
     theta, starts = problem.unpack(solution.unknowns)
     values = problem.values(theta)
+    every = _by_record(problem, problem.errors(values, starts), assembly)  # outliers count in full
+    counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
+    problem = light.problem if light else problem
     errors = problem.errors(values, starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
     finite = np.isfinite(products).all() and np.isfinite(theta).all()
     initial_known = options.initial_state != "estimated"
     by_record = _by_record(problem, errors, assembly)
-    counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    worse = bool(finite) and explains_nothing(problem, products, _counted_outputs(data, counted, options.horizon))
+    whole = np.asarray(sum(e.T @ e for e in every))
+    worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted, options.horizon))
     white, memory = whiteness_and_memory(by_record) if finite else (whiteness_test(by_record), 1)
     sound = bool(finite) and not worse
     trusted: Literal["white", "robust"] = (
@@ -77,9 +84,13 @@ def outcome(
     )
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
-        return _covariance(
+        own = _covariance(
             problem, theta, starts, assembly, products, memory, on_bound, initial_known, trusted == "robust"
         )
+        if light is None:
+            return own
+        white, robust = light.factors
+        return own._replace(white=own.white * white, robust=own.robust * robust)
 
     on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
     found = uncertainty(on_bound)
@@ -95,7 +106,7 @@ def outcome(
     for name in {short for names in locals_of.values() for short in names}:
         estimates.pop(name, None)
     std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
-    mean_square = products / problem.n_samples
+    mean_square = whole / problem.n_samples
     undetermined = ~on_bound & ~np.isfinite([std[q.name] for q in free])
     status = verdict(solution.status, overflows=not finite, worse_than_constant=worse, undetermined=undetermined)
     units = {q.name: q.unit for q in parameters}
@@ -124,7 +135,7 @@ def outcome(
         initial_states=starts[assembly.record_window][:, : assembly.n_states],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
-        fit_percent=_fit_percent(data, by_record, counted, options.horizon),
+        fit_percent=_fit_percent(data, every, counted, options.horizon),
         aic=n * log_det + 2 * k,
         fpe=float(np.exp(log_det) * (1 + k / n) / max(1 - k / n, 1e-12)),
         condition=found.condition,
@@ -134,7 +145,11 @@ def outcome(
         wall_time_s=0.0,
         start={name: begin[name] for name in estimates},
         start_origin={name: origin.get(own_name[name], "structure") for name in estimates},
-        notes=(*_notes(assembly, begin, free, on_bound, found, trusted), *_edge_note(problem, theta)),
+        notes=(
+            *_notes(assembly, begin, free, on_bound, found, trusted),
+            *_edge_note(problem, theta),
+            *_light_note(light),
+        ),
         options=options,
         model=model,
         sample_time=data.sample_time,
@@ -252,6 +267,12 @@ def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
         "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
         "fix it (fixed=...) or use focus='simulation'",
     )
+
+
+def _light_note(light: Reweighted | None) -> tuple[str, ...]:
+    if light is None or not light.light:
+        return ()
+    return (f"robust loss: {100 * light.light:.2g} % of the samples count less than half",)
 
 
 def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -30,6 +30,8 @@ class Segment:
         1 for samples in the cost, 0 for samples left out; None when all count.
     start, stop : int
         First sample and the sample after the last; `stop` is None at the end of the record.
+    weights : (n_samples,) array or None
+        Weights of the squared errors of all samples of the record; None when all are 1.
     """
 
     inputs: FloatArray
@@ -37,6 +39,7 @@ class Segment:
     counts: FloatArray | None = None
     start: int = 0
     stop: int | None = None
+    weights: FloatArray | None = None
 
     def part(self, rows: FloatArray) -> FloatArray:
         """Return the rows of the record that belong to the part."""
@@ -52,7 +55,7 @@ class Blocks:
     y : (n_groups, length, n_outputs, lanes) array
         Outputs to predict.
     used : (n_groups, length, lanes) array
-        1 for a sample in the cost, 0 for a sample left out and for padding.
+        Root of the weight of a sample in the cost: 1 without weights; 0 for a sample left out and for padding.
     size : (n_groups * lanes,) integer array
         Number of samples in each block: `length`, or fewer in the last block of a segment; 0 for padding.
     per_window : int
@@ -171,12 +174,7 @@ def cut(
     window = longest if window is None else min(window, longest)
     per_window = -(-window // longest_block)
     length = -(-window // per_window)
-    counts = [
-        np.ones((len(target), 1))
-        if segment.counts is None
-        else segment.part(predictor.targets(segment.counts[:, None]))
-        for segment, target in zip(segments, targets, strict=True)
-    ]
+    counts = [_of_targets(segment, segment.counts, predictor) for segment in segments]
     first: list[int] = []
     size: list[int] = []
     segment_first: list[int] = []
@@ -193,7 +191,7 @@ def cut(
     block_size += [0] * (y.shape[0] * lanes - len(block_size))
     return Blocks(
         y,
-        np.ascontiguousarray(_in_groups(counts, length, lanes)[:, :, 0]),
+        _use(segments, predictor, length, lanes),
         np.array(block_size),
         per_window,
         np.array(first),
@@ -203,6 +201,32 @@ def cut(
         predictor,
         segments,
     )
+
+
+def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
+    """Return the same blocks with other weights of the squared errors: one array for the targets of each segment."""
+    segments = []
+    for segment, own in zip(blocks.segments, weights, strict=True):
+        full = np.ones(len(segment.outputs))
+        segment.part(blocks.predictor.targets(full[:, None]))[:, 0] = own  # a view of `full`
+        segments.append(replace(segment, weights=full))
+    used = _use(segments, blocks.predictor, blocks.length, blocks.lanes)
+    return replace(blocks, segments=tuple(segments), used=used)
+
+
+def _use(segments: Sequence[Segment], predictor: Predictor, length: int, lanes: int) -> FloatArray:
+    """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
+    rows = [
+        _of_targets(segment, segment.counts, predictor) * np.sqrt(_of_targets(segment, segment.weights, predictor))
+        for segment in segments
+    ]
+    return np.ascontiguousarray(_in_groups(rows, length, lanes)[:, :, 0])
+
+
+def _of_targets(segment: Segment, values: FloatArray | None, predictor: Predictor) -> FloatArray:
+    """Return values of the samples of a record for the targets of a segment, (n, 1); ones where there are none."""
+    whole = np.ones(len(segment.outputs)) if values is None else values
+    return segment.part(predictor.targets(whole[:, None]))
 
 
 def _in_groups(parts: Sequence[FloatArray], length: int, lanes: int) -> FloatArray:

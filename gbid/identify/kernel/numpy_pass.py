@@ -121,6 +121,8 @@ def _run(
     psi = np.ascontiguousarray(response[:, :, 1:]) * used[:, None, None]
     psi = (root @ psi.reshape(length, n_y, -1)).reshape(length * n_y, n_p, width)
     weighted_error = (root @ error).reshape(length * n_y, width)
+    psi_twice = (psi.reshape(length, n_y, n_p, width) * used[:, None, None]).reshape(length * n_y, -1)
+    error_twice = (weighted_error.reshape(length, n_y, width) * used[:, None]).reshape(length * n_y, width)
     by_row = free.reshape(length * n_y, n)
     by_parameter = np.ascontiguousarray(psi.transpose(1, 0, 2)).reshape(n_p, -1)
     flat_error = error.transpose(1, 0, 2).reshape(n_y, -1)
@@ -129,8 +131,8 @@ def _run(
         by_parameter @ by_parameter.T,
         flat_error @ flat_error.T,
         -np.einsum("kpw,kw->wp", psi, weighted_error),
-        -(by_row.T @ weighted_error).T,
-        (by_row.T @ psi.reshape(length * n_y, -1)).reshape(n, n_p, width).transpose(2, 1, 0),
+        -(by_row.T @ error_twice).T,
+        (by_row.T @ psi_twice).reshape(n, n_p, width).transpose(2, 1, 0),
         ends[:, :, 0],
         ends[:, :, 1:],
     )

@@ -168,8 +168,8 @@ static inline double total(v a) {{
   return s;
 }}
 
-/* Sums over the samples of one buffer. */
-static void add_up(int rows, const v *restrict P, const v *restrict E, const double *restrict T,
+/* Sums over the samples of one buffer; U are the roots of their weights, or NULL where all are 1 or 0. */
+static void add_up(int rows, v *restrict P, const v *restrict E, const double *restrict T, const v *restrict U,
                    v *restrict H, v *restrict g, v *restrict M, v *restrict gx) {{
   for (int i = 0; i < NPP; i += TILE)
     for (int j = i; j < NPP; j += TILE) {{
@@ -183,6 +183,17 @@ static void add_up(int rows, const v *restrict P, const v *restrict E, const dou
       }}
       for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) H[(i + p)*NPP + j + q] = a[p][q];
     }}
+  if (U) {{ /* P and E have one root already; T has none */
+    for (int i = 0; i < NP; i++)
+      for (int t = 0; t < rows; t++) {{
+        g[i] += P[i*BUF + t]*E[t];
+        P[i*BUF + t] *= U[t];
+        for (int c = 0; c < N; c++) M[i*N + c] += P[i*BUF + t]*T[t*N + c];
+      }}
+    for (int t = 0; t < rows; t++)
+      for (int c = 0; c < N; c++) gx[c] += E[t]*U[t]*T[t*N + c];
+    return;
+  }}
   for (int i = 0; i < NP; i++) {{
     v a[N], b = g[i];
     for (int c = 0; c < N; c++) a[c] = M[i*N + c];
@@ -209,7 +220,7 @@ void gbid_pass(long groups, long length,
                double *restrict gradient, double *restrict gradient_start, double *restrict mixed, double *restrict end,
                double *restrict end_theta) {{
   const v zero = {{0}};
-  static __thread v P[NPP*BUF], E[BUF], hs[NPP*NPP], S[NP*N];
+  static __thread v P[NPP*BUF], E[BUF], U[BUF], hs[NPP*NPP], S[NP*N];
   v ee[NY*NY];
   (void)G; (void)H; (void)dG; (void)dC; (void)dH;
   for (int i = 0; i < NPP*BUF; i++) P[i] = zero;
@@ -226,12 +237,14 @@ void gbid_pass(long groups, long length,
     double *restrict end_b = end + b*N*8, *restrict end_theta_b = end_theta + b*NP*N*8;
     if (ragged)
       for (int c = 0; c < N; c++) *(u *)(end_b + c*8) = x[c];
-    int t = 0;
+    int t = 0, weighted = 0;
+    for (long k = b*length*8; k < (b + 1)*length*8; k++) weighted |= used[k] != 0 && used[k] != 1;
     for (long k = 0; k < length; k++) {{
       const u *z = (const u *)(zs + (b*length + k)*NZ*8);
       const u *y = (const u *)(ys + (b*length + k)*NY*8);
       const v m = *(const u *)(used + (b*length + k)*8);
 {STEP}
+      if (weighted) for (int j = 0; j < NY; j++) U[t*NY + j] = m;
       for (int c = 0; c < N; c++) x[c] = nx[c];
       if (ragged)
         for (int l = 0; l < 8; l++)
@@ -240,7 +253,7 @@ void gbid_pass(long groups, long length,
             for (int i = 0; i < NP*N; i++) end_theta_b[i*8 + l] = S[i][l];
           }}
       if (++t == BUF/NY || k + 1 == length) {{
-        add_up(t*NY, P, E, T + (k + 1 - t)*NY*N, hs, g, M, gx);
+        add_up(t*NY, P, E, T + (k + 1 - t)*NY*N, weighted ? U : 0, hs, g, M, gx);
         t = 0;
       }}
     }}

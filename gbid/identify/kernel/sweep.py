@@ -186,8 +186,8 @@ def start_hessians(blocks: Blocks, free: FloatArray) -> FloatArray:
     rows = free.reshape(-1, n)
     full = np.broadcast_to(rows.T @ rows, (len(blocks.size), n, n)).copy()
     used = blocks.used.transpose(0, 2, 1).reshape(-1, blocks.length)
-    for block in np.flatnonzero(~used.all(axis=1)):
-        rows = free[used[block] > 0].reshape(-1, n)
+    for block in np.flatnonzero((used != 1).any(axis=1)):
+        rows = (free * used[block][:, None, None]).reshape(-1, n)
         full[block] = rows.T @ rows
     return full
 

@@ -57,7 +57,8 @@ def own_gradients(
     found = []
     for v, part, own in zip(values, problem.parts, windows, strict=True):
         prediction = from_starts(v, part.blocks, starts[own], part.engine)
-        sums, start = _of_part(v, part, weight @ prediction.errors, prediction.states, ends[own])
+        weighted = weight @ prediction.errors * part.blocks.used[:, :, None]
+        sums, start = _of_part(v, part, weighted, prediction.states, ends[own])
         found.append(GroupGradient(_by_parameters(v, sums), start))
     return found
 

@@ -124,6 +124,8 @@ class FitSection(Section):
     prior: dict[Text, PriorSection] = Field(default_factory=dict)
     local: dict[Text, Literal["recording", "operating_point"]] = Field(default_factory=dict)
     offsets: Switch = False
+    robust: Literal["huber", "student"] | None = None
+    robust_threshold: Positive | None = None
     trend: Annotated[
         TrendName | dict[Text, TrendName],
         BeforeValidator(_trend),

@@ -32,7 +32,7 @@ FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
 _AS_THEY_ARE = (
     *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
-    *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "initial_state"),
+    *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "robust", "robust_threshold", "initial_state"),
 )
 
 

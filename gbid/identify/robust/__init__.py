@@ -1,0 +1,1 @@
+"""Robust loss of a fit: outliers weigh less."""
