@@ -67,10 +67,12 @@ def outcome(
     free = assembly.free
     theta, starts = problem.unpack(solution.unknowns)
     values = problem.values(theta)
-    every = _by_record(problem, problem.errors(values, starts), assembly)  # outliers count in full
-    counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
-    problem = light.problem if light else problem
     errors = problem.errors(values, starts)
+    every = _by_record(problem, errors, assembly)  # outliers count in full
+    counted = _by_record(problem, [part.blocks.used[:, :, None] for part in problem.parts], assembly)
+    if light is not None:
+        problem = light.problem
+        errors = problem.errors(values, starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
     finite = np.isfinite(products).all() and np.isfinite(theta).all()
     initial_known = options.initial_state != "estimated"
