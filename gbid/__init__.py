@@ -44,7 +44,7 @@ if TYPE_CHECKING:
         save_fit,
     )
     from gbid.identify.fit import fit
-    from gbid.interchange import save_csv, save_mat
+    from gbid.interchange import from_ross, save_csv, save_mat
     from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, save_lpv_fit
     from gbid.prefilter.align import align_index
     from gbid.prefilter.compare import compare_runout
@@ -109,6 +109,7 @@ __all__ = [
     "fit_lpv_direct",
     "fit_multistart",
     "fit_ringdown",
+    "from_ross",
     "identify_runout",
     "import_recording",
     "load_controller",
@@ -155,7 +156,7 @@ _HOME = {
             "estimate_delay",
         ),
     ),
-    "interchange": ("save_csv", "save_mat"),
+    "interchange": ("from_ross", "save_csv", "save_mat"),
     "lpv": (
         *("LPVFit", "LPVModel", "fit_lpv", "fit_lpv_direct"),
         *("load_lpv_fit", "load_model", "save_lpv_fit"),

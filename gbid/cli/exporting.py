@@ -48,6 +48,9 @@ def export(
     measure: Annotated[
         bool, typer.Option("--measure", help="Run C source on an emulated Cortex-M4F and write its instructions down.")
     ] = False,
+    mass: Annotated[
+        float | None, typer.Option("--mass", metavar="KG", help="Modal mass of the rotor; needed for ross.")
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("--output", "-o", metavar="DIR", help="Folder; `export` in the results, or here for a file."),
@@ -66,7 +69,7 @@ def export(
 
         export_target(to)
         found = find_exports(source, at, results)
-        request = ExportRequest(output or found.folder, overwrite, at, number, measure)
+        request = ExportRequest(output or found.folder, overwrite, at, number, measure, mass)
         files = [str(path) for path in write_exports(found, to, request)]
         if as_json:
             print_json({"files": files, "left_out": list(found.left_out)})

@@ -66,6 +66,8 @@ class ExportRequest:
         Type of the numbers in generated source, instead of that in the experiment.
     measure : bool
         Whether generated source is run on an emulated microcontroller to count its instructions.
+    mass_kg : float, optional
+        Modal mass, for targets in which a bearing has coefficients in N/m.
     beside : tuple of ExportItem
         All items of the source, for a target that joins several of them, as a plant and its controller.
     """
@@ -75,6 +77,7 @@ class ExportRequest:
     at: Point | None = None
     number: Number | None = None
     measure: bool = False
+    mass_kg: float | None = None
     beside: tuple[ExportItem, ...] = field(default=())
 
 

@@ -20,6 +20,8 @@ from gbid.identify.predictor import PredictorValues
 
 EngineName = Literal["auto", "compiled", "numpy"]
 RunEngine = Literal["compiled", "numpy"]
+LONGEST_SOURCE = 200_000
+"""Longest kernel that is compiled, in characters: 55 000 (12 states) take seconds, 480 000 (28 states) minutes."""
 
 
 class ChosenEngine(NamedTuple):
@@ -46,7 +48,8 @@ def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenE
     Parameters
     ----------
     wanted : {"auto", "compiled", "numpy"}
-        ``"auto"`` is the compiled kernel if there is a C compiler; without one, the note reports it.
+        ``"auto"`` is the compiled kernel if there is a C compiler and the predictor is not too large to be compiled in
+        seconds; otherwise the note says why it is numpy.
     samples : list of PredictorValues
         The predictor at some parameter values, which show the entries that are always zero.
 
@@ -64,6 +67,9 @@ def choose_engine(wanted: EngineName, samples: list[PredictorValues]) -> ChosenE
         raise UsageError(f"engine = {wanted!r}; choose 'auto', 'compiled' or 'numpy'")
     if wanted == "numpy":
         return ChosenEngine(run_with_numpy, "numpy", "")
+    if wanted == "auto" and len(_source(_arrays(_pattern(samples)))) > LONGEST_SOURCE:
+        told = f"a compiled pass for {len(samples[0].F)} states would take minutes to build: the numpy pass was used"
+        return ChosenEngine(run_with_numpy, "numpy", told)
     try:
         engine = CompiledEngine(samples)
         return ChosenEngine(engine, "compiled", engine.note)
@@ -82,14 +88,11 @@ class CompiledEngine:
     """
 
     def __init__(self, samples: list[PredictorValues]) -> None:
-        pattern = pattern_of(samples[0])
-        for sample in samples[1:]:
-            pattern = pattern.union(pattern_of(sample))
-        self._build(pattern)
+        self._build(_pattern(samples))
 
     def _build(self, pattern: KernelPattern) -> None:
         self._pattern = pattern
-        arrays = tuple((array.shape, array.tobytes()) for array in pattern.arrays())
+        arrays = _arrays(pattern)
         library = load_library(_source(arrays))
         self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
         self.note = library.note
@@ -166,6 +169,18 @@ def _source(arrays: tuple[tuple[tuple[int, ...], bytes], ...]) -> str:
 def pattern_of(v: PredictorValues) -> KernelPattern:
     """Entries that differ from zero at one parameter value."""
     return KernelPattern(*(array != 0 for array in v[:8]))
+
+
+def _pattern(samples: list[PredictorValues]) -> KernelPattern:
+    """Return the entries that differ from zero at one of several parameter values."""
+    pattern = pattern_of(samples[0])
+    for sample in samples[1:]:
+        pattern = pattern.union(pattern_of(sample))
+    return pattern
+
+
+def _arrays(pattern: KernelPattern) -> tuple[tuple[tuple[int, ...], bytes], ...]:
+    return tuple((array.shape, array.tobytes()) for array in pattern.arrays())
 
 
 def _by_group(values: FloatArray) -> FloatArray:
