@@ -13,6 +13,7 @@ from scipy.linalg import expm
 
 import gbid
 from gbid.cli.main import app
+from gbid.compiling.compiler import find_compiler
 from gbid.control import controller_structure, scheduled
 from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sampled import exact_plant, sampled_loop
@@ -302,12 +303,12 @@ def test_a_model_without_actuators_or_a_missing_compiler(tmp_path, monkeypatch):
     with pytest.raises(UsageError, match="has no actuators; give them in its file"):
         save_fmu(replace(MODEL, actuators={}), tmp_path / "a.fmu")
     monkeypatch.setenv("CC", "no_such_compiler")
-    gbid.compiling._compiler.cache_clear()
+    find_compiler.cache_clear()
     try:
         with pytest.raises(UsageError, match=r"no C compiler found \(no_such_compiler\); install a C compiler"):
             save_fmu(MODEL, tmp_path / "a.fmu")
     finally:
-        gbid.compiling._compiler.cache_clear()
+        find_compiler.cache_clear()
     assert not list(tmp_path.iterdir())
 
 
