@@ -65,10 +65,14 @@ def test_a_target_section_that_cannot_be(tmp_path: Path, capsys: pytest.CaptureF
     for section, words in (
         ("target: {limit_m: 30.0e-6}", "limit_m = 3e-05 m around offset_m = 2.25e-05 m leaves the stroke"),
         ("target: {median: 2}", "median"),
+        ("controller: compiled", "there is no section impacts; add it or remove this"),
         ("target: {limits: 1}", "limits"),
         ("target: {bad_samples: 40000}", "bad_samples = 40000; give a whole number from 1 to 30000"),
     ):
-        assert run("check", write_box(tmp_path, section + "\n")) == 2
+        path = write_box(tmp_path, section + "\n")
+        if section.startswith("controller"):
+            path = write_box(tmp_path, **{"  duration_s": f"  {section}\n  duration_s"})
+        assert run("check", path) == 2
         assert words in capsys.readouterr().err
 
 
