@@ -17,9 +17,7 @@ prefilter: {method: harmonics, harmonics: 5}
 controller:
   feedback:
     structure: P
-    design_for: sampled
     operating_points: [{pressure_bar: 6.0, speed_rpm: 3000}]
-    starts: 2
 """
 
 
