@@ -13,6 +13,7 @@ from gbid.structure import LinearStructure
 pytestmark = pytest.mark.slow
 SEEDS = 20
 ABSURD_SEEDS = 6  # fits from absurd starts take long
+MOST_PARAMETERS = 10  # and with more parameters very long
 DECADES = 3.0
 SAME = 1e-5  # relative difference of losses at one minimum
 
@@ -46,13 +47,11 @@ def test_share_of_fits_that_reach_the_best_loss(case):
         found = fit(structure, data, start="data", **case.options)
         seconds.append(time.perf_counter() - began)
         reached.append(found.success and found.loss <= best * (1 + SAME))
-        if seed < ABSURD_SEEDS:
+        if seed < ABSURD_SEEDS and len(case.truth) <= MOST_PARAMETERS:
             began = time.perf_counter()
             plain = fit(structure, data, max_iterations=60, **case.options)
             plain_seconds.append(time.perf_counter() - began)
             absurd.append(plain.success and plain.loss <= best * (1 + SAME))
-    print(
-        f"| {case.name} | {sum(reached)} of {SEEDS} | {sum(absurd)} of {ABSURD_SEEDS} | {np.median(seconds):.1f} s "
-        f"| {np.median(plain_seconds):.1f} s |"
-    )
+    plain = f"{sum(absurd)} of {ABSURD_SEEDS} | {np.median(plain_seconds):.1f} s" if absurd else "not run | -"
+    print(f"| {case.name} | {sum(reached)} of {SEEDS} | {np.median(seconds):.1f} s | {plain} |")
     assert np.mean(reached) >= 0.9
