@@ -8,7 +8,7 @@ from math import pi
 from typing import Literal
 
 from gbid._version import __version__
-from gbid.lpv import LPVModel
+from gbid.lpv import Domain, LPVModel
 
 Causality = Literal["input", "output", "parameter"]
 
@@ -43,19 +43,18 @@ class UnitVariable:
     high: float | None = None
 
 
-def unit_variables(model: LPVModel, in_loop: bool, limit_m: float) -> list[UnitVariable]:
+def unit_variables(domain: Domain, in_loop: bool, limit_m: float) -> list[UnitVariable]:
     """Return the variables in the order of their value references, the Boolean last.
 
     Parameters
     ----------
-    model : LPVModel
-        The plant.
+    domain : Domain
+        Range of pressure and speed.
     in_loop : bool
         Whether the unit has a controller.
     limit_m : float
         Limit of the references [m].
     """
-    domain = model.domain
     letter, what = (
         ("w", "added to the reference of the controller") if in_loop else ("r", "position reference of the piezos")
     )

@@ -16,10 +16,11 @@ from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.compiling import CompilerMissingError, compile_shared
 from gbid.control import ControllerDesign
+from gbid.control.controllers.scheduled import Scheduled
 from gbid.cosimulation.equations import Delay, UnitEquations, unit_equations
 from gbid.cosimulation.model_description import UnitVariable, model_description, unit_variables
 from gbid.errors import UsageError
-from gbid.lpv import LPVModel
+from gbid.lpv import Domain, LPVModel
 
 HISTORY = 1024
 """Number of references that a unit remembers for its delays."""
@@ -100,7 +101,7 @@ def save_fmu(
         if value is not None and not (isfinite(value) and (value > 0 or (value == 0 and name == "computation_s"))):
             raise UsageError(f"{path}: {name} = {value}; give a positive number")
     equations = unit_equations(model, delay, pade_order, controller)
-    variables = unit_variables(model, controller is not None, limit_m)
+    variables = unit_variables(_domain(path, model, controller), controller is not None, limit_m)
     sources = _sources(equations, variables, sample_time, computation)
     guid = "{" + sha256("".join(sources.values()).encode()).hexdigest()[:32] + "}"
     sources = {name: text.replace("@GUID@", guid) for name, text in sources.items()}
@@ -118,6 +119,23 @@ def save_fmu(
         for name, contents in files.items():
             archive.writestr(zipfile.ZipInfo(name, _DATE), contents, zipfile.ZIP_DEFLATED)
     return path
+
+
+def _domain(path: Path, model: LPVModel, controller: ControllerDesign | None) -> Domain:
+    """Return the range of pressure and speed in which both the plant and a scheduled controller hold."""
+    if controller is None or not isinstance(controller.structure, Scheduled):
+        return model.domain
+    ranges = []
+    for name in ("pressure_bar", "speed_rpm"):
+        of_plant, of_schedule = getattr(model.domain, name), getattr(controller.structure.domain, name)
+        low, high = max(of_plant[0], of_schedule[0]), min(of_plant[1], of_schedule[1])
+        if low > high:
+            raise UsageError(
+                f"{path}: {name} of the plant is {of_plant[0]:g} to {of_plant[1]:g}, that of controller "
+                f"{controller.name!r} {of_schedule[0]:g} to {of_schedule[1]:g}; give a controller of this plant"
+            )
+        ranges.append((low, high))
+    return Domain(*ranges)
 
 
 def _sources(

@@ -19,6 +19,7 @@ from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.cosimulation import save_fmu
 from gbid.errors import UsageError
+from gbid.lpv import Domain
 
 fmpy = pytest.importorskip("fmpy", reason="fmpy is not installed: pip install 'gbid[fmu]'")
 validate_fmu = pytest.importorskip("fmpy.validation").validate_fmu
@@ -164,6 +165,23 @@ def test_the_loop_agrees_with_the_sampled_loop(folder):
             loop = sampled_loop(exact_plant(MODEL, pressure, speed), design.sampled_at(pressure, speed), STEP)
             expected = loop.closed.simulate(w)
             assert worst(found, expected) < 1e-9 < AGREES, name
+
+
+def scheduled_over(folder, pressure_bar):
+    structure = scheduled(controller_structure("P"), ("1", "P"), Domain(pressure_bar, (0.0, 6000.0)))
+    values = {p.name: 0.5 if p.name.endswith("_1") else 0.1 for p in structure.parameters}
+    point = [(pressure_bar[0], 0.0)]
+    return gbid.save_controller(folder / "over.yaml", structure, values, name="over", points=point, overwrite=True)
+
+
+def test_a_schedule_narrows_the_domain_of_the_loop(folder):
+    path = save_fmu(MODEL, folder / "narrow.fmu", controller=scheduled_over(folder, (4.0, 9.0)))
+    pressure = next(v for v in fmpy.read_model_description(str(path)).modelVariables if v.name == "pressure_bar")
+    assert (float(pressure.min), float(pressure.max)) == (4.0, 7.0)
+    signals = {"pressure_bar": np.full(N, 3.5), "w_x": held(1)[:, 0]}
+    assert "pressure_bar = 3.5 lies outside the domain 4 to 7" in log_of(path, signals, {"pressure_bar": 5.0})
+    with pytest.raises(UsageError, match="pressure_bar of the plant is 3 to 7, that of controller 'over' 8 to 9"):
+        save_fmu(MODEL, folder / "none.fmu", controller=scheduled_over(folder, (8.0, 9.0)))
 
 
 def test_references_are_held_within_their_limit(folder):
