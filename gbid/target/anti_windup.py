@@ -27,7 +27,7 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
     Returns
     -------
     (n_states, n_outputs) array
-        L; zero when no input reaches an output.
+        L; zero when no input reaches an output, or when a state that does not decay reaches none.
 
     Notes
     -----
@@ -45,6 +45,9 @@ def anti_windup_gain(controller: LinearModel) -> FloatArray:
         return none
     Q, S = B @ B.T, B @ D.T
     R = D @ D.T + size**2 * np.eye(len(C))
-    P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    try:
+        P = solve_discrete_are(A.T, C.T, Q, R, s=S)
+    except np.linalg.LinAlgError:  # an integrator that no output shows, or that no input drives
+        return none
     gain = np.linalg.solve((C @ P @ C.T + R).T, (A @ P @ C.T + S).T).T
     return np.asarray(np.where(np.abs(gain) < 1e-12 * np.abs(gain).max(), 0.0, gain))  # axes that do not mix

@@ -22,6 +22,8 @@ from gbid.target.grid_table import TOLERANCE, GridTable, table_of_points, table_
 from gbid.target.identifiers import c_name
 
 _CHANNELS = 2
+_ON_THE_CIRCLE = 1.0 + 1e-9
+"""Largest magnitude of a pole of a controller that does not run away; an integrator has one of 1."""
 
 
 def chain_of(
@@ -118,16 +120,20 @@ def _row(design: ControllerDesign, model: LinearModel) -> FloatArray:
             f"controller {design.name!r} has {model.D.shape[1]} inputs and {model.D.shape[0]} outputs; the chain needs "
             "p_x, p_y and r_x, r_y"
         )
-    L = anti_windup_gain(model) if model.is_stable() else np.zeros((model.n_states, _CHANNELS))
+    runs_away = _largest_pole(model) > _ON_THE_CIRCLE  # refused by _check
+    L = np.zeros((model.n_states, _CHANNELS)) if runs_away else anti_windup_gain(model)
     return np.concatenate([np.hstack([model.C, model.D]).ravel(), np.hstack([model.A, model.B, L]).ravel()])
+
+
+def _largest_pole(sampled: LinearModel) -> float:
+    return float(np.abs(np.linalg.eigvals(sampled.A)).max(initial=0.0)) if sampled.n_states else 0.0
 
 
 def _check(design: ControllerDesign, sampled: LinearModel, point: Point | None) -> None:
     """Refuse a controller that is unstable by itself, or that moves between its samples."""
     where = "" if point is None else f" at {point_label(*point)}"
-    poles = np.linalg.eigvals(sampled.A) if sampled.n_states else np.zeros(0)
-    worst = float(np.abs(poles).max(initial=0.0))
-    if worst > 1.0 + 1e-9:
+    worst = _largest_pole(sampled)
+    if worst > _ON_THE_CIRCLE:
         raise UsageError(
             f"controller {design.name!r}{where} is unstable by itself (a pole of magnitude {worst:.6g} in the z "
             "plane); a chain that fades in would run away: tune it with bounds that keep the controller stable"

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from chain_cases import design, eventful_samples, grid_of_maps, runout_map
 
+from gbid.control import ControllerDesign, controller_structure
+from gbid.control.controllers.built_in import built_in_structures
 from gbid.prefilter.cos_sin import cos_sin
 from gbid.target import ChainFault, ChainInput, ChainOptions, CompiledChain, PythonChain, chain_of
 from gbid.target.selftest_rows import FLOAT_TOLERANCE
@@ -53,6 +55,23 @@ def test_double_is_exact_and_float_within_tolerance(kind: str, maps: str, guards
     miss = np.array([each.stack for each in rounded]) - np.array([each.stack for each in expected])
     assert np.abs(miss).max() < FLOAT_TOLERANCE * options.limit_m
     assert [each.fault for each in rounded] == [each.fault for each in expected]
+
+
+@pytest.mark.parametrize("kind", built_in_structures())
+def test_every_built_in_structure_exports_with_anti_windup(kind: str) -> None:
+    random = np.random.default_rng(1)
+    structure = controller_structure(kind)
+    gains = {}
+    for parameter in structure.parameters:
+        room = min(parameter.upper - parameter.lower, 1.0)
+        value = (parameter.start or 0.0) + 0.2 * random.uniform(0.2, 1.0) * room
+        gains[parameter.name] = float(np.clip(value, parameter.lower, parameter.upper))
+    options = ChainOptions(**SHORT)  # type: ignore[arg-type]
+    chain = chain_of(ControllerDesign("damper", structure, gains), runout_maps=MAPS["harmonics"], options=options)
+    expected = PythonChain(chain).run(SAMPLES[:1200])
+    assert CompiledChain(chain).run(SAMPLES[:1200]) == expected
+    assert max(abs(y.reference[0]) for y in expected) > 0
+    assert any(term.kind == "d" for terms in chain.states for term in terms)
 
 
 def test_saturation_is_exact_too() -> None:
