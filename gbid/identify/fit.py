@@ -117,8 +117,8 @@ def fit(
         offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
     hum : float or sequence of float
         Known frequencies [Hz] of sinusoids in all outputs, whose amplitudes are estimated along for each recording.
-    initial_state : {"estimated", "zero"} or sequence of float
-        Initial state of each recording.
+    initial_state : {"estimated", "zero"}, sequence of float or dict
+        Initial state of each recording. A dict gives ``"zero"`` or a state for each recording by name.
     left_out : dict of str to sequence of (start, stop), optional
         Samples of recordings, by name, whose errors do not count (a rub, a dropout). The model is simulated there.
     window : int, None or "auto"
@@ -195,7 +195,7 @@ def fit(
         rate = spectral_radius(problem.values(problem.unpack(unknowns)[0]))
         if plan.grows(rate) and not unstable:
             return Attempt(None, rate, False)
-        lower, upper = unknown_bounds(problem, assembly, initial_state)
+        lower, upper = unknown_bounds(problem, assembly, initial_state, [r.name for r in data.records])
         inside = np.clip(unknowns, lower, upper)
 
         def run(begin: FloatArray, posed: Shooting = problem) -> Solution:

@@ -46,11 +46,16 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
                 ("fits", name, "output_weights"),
                 "are for criterion: trace; det weighs outputs by their errors",
             )
-        if not isinstance(state, str) and len(state) != matrices.A.shape[0]:
-            yield (
-                ("fits", name, "initial_state"),
-                f"{len(state)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
-            )
+        states = state.values() if isinstance(state, dict) else (state,)
+        for given in states:
+            if not isinstance(given, str) and len(given) != matrices.A.shape[0]:
+                yield (
+                    ("fits", name, "initial_state"),
+                    f"{len(given)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
+                )
+        used = {q.name for q in experiment.fit_recordings(name)}
+        if isinstance(state, dict) and set(state) != used:
+            yield ("fits", name, "initial_state"), f"give one for each recording of the fit: {', '.join(sorted(used))}"
 
 
 def trends_are_of_outputs(experiment: Experiment) -> Found:

@@ -33,7 +33,12 @@ def _window(value: Any) -> Any:
     return value
 
 
+_STATE = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+
+
 def _initial_state(value: Any) -> Any:
+    if isinstance(value, dict) and "estimated" not in value.values():
+        return {name: _initial_state(state) for name, state in value.items()}
     if value in ("estimated", "zero"):
         return value
     numbers = value if isinstance(value, list | tuple) else ()
@@ -133,10 +138,16 @@ class FitSection(Section):
     ] = "none"
     hum: Annotated[tuple[Positive, ...], BeforeValidator(_one_or_several)] = ()
     initial_state: Annotated[
-        Literal["estimated", "zero"] | tuple[float, ...],
+        Literal["estimated", "zero"] | tuple[float, ...] | dict[Text, Literal["zero"] | tuple[float, ...]],
         BeforeValidator(_initial_state),
         WithJsonSchema(
-            {"anyOf": [{"enum": ["estimated", "zero"]}, {"type": "array", "items": {"type": "number"}, "minItems": 1}]}
+            {
+                "anyOf": [
+                    {"enum": ["estimated", "zero"]},
+                    _STATE,
+                    {"type": "object", "additionalProperties": {"anyOf": [{"enum": ["zero"]}, _STATE]}},
+                ]
+            }
         ),
     ] = "estimated"
     left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(

@@ -32,7 +32,7 @@ FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
 _AS_THEY_ARE = (
     *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
-    *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "robust", "robust_threshold", "initial_state"),
+    *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "robust", "robust_threshold"),
 )
 
 
@@ -104,7 +104,7 @@ def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
 def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
     """Return the keyword arguments of `gbid.fit` for a fits section and recordings."""
     section = experiment.spec.fits[name]
-    hold = section.intersample
+    hold, state = section.intersample, section.initial_state
     return {
         **{key: getattr(section, key) for key in _AS_THEY_ARE},
         "intersample": hold[0] if hold and len(hold) == 1 else hold,
@@ -113,6 +113,9 @@ def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) 
             for key, (low, high) in section.bounds.items()
         },
         "prior": {key: (known.value, known.std) for key, known in section.prior.items()},
+        "initial_state": {recording.name: state[recording.name] for recording in data}
+        if isinstance(state, dict)
+        else state,
         "left_out": {
             recording.name: [samples_of(recording, *stretch) for stretch in section.left_out[recording.name]]
             for recording in data
