@@ -52,12 +52,12 @@ def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
         When the reader fails in another way: it crashes, exceeds the limits, or raises an error of its library.
     """
     size = path.stat().st_size
-    limits = Limits(_SECONDS + size / _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
+    limits = ReaderLimits(_SECONDS + size / _BYTES_PER_SECOND, _MEMORY + _MEMORY_PER_BYTE * size)
     found: T = _process(os.getpid()).ask(limits, read, path, arguments)
     return found
 
 
-class Limits(NamedTuple):
+class ReaderLimits(NamedTuple):
     """Limits for one file: time [s], and memory [bytes] beside that of the process itself."""
 
     seconds: float
@@ -71,7 +71,7 @@ class ReaderProcess:
         self._lock = threading.Lock()
         self._child: subprocess.Popen[bytes] | None = None
 
-    def ask(self, limits: Limits, read: Callable[..., Any], path: Path, arguments: tuple[Any, ...]) -> Any:
+    def ask(self, limits: ReaderLimits, read: Callable[..., Any], path: Path, arguments: tuple[Any, ...]) -> Any:
         """Return the answer to a request; see `read_apart`."""
         with self._lock:
             child = self._child = self._child if self._child and self._child.poll() is None else _started()
@@ -187,7 +187,7 @@ def _send(answers: IO[bytes], outcome: tuple[Any, BaseException | None]) -> None
     answers.flush()
 
 
-def _set(limits: Limits) -> None:
+def _set(limits: ReaderLimits) -> None:
     """Set the limits of this process for the next file, where the system has such limits."""
     try:
         import resource
