@@ -123,7 +123,8 @@ def fit(
         Samples of recordings, by name, whose errors do not count (a rub, a dropout). The model is simulated there.
     window : int, None or "auto"
         Number of samples in a shooting window; None is single shooting. "auto" is about 256 (prediction) or 128
-        (simulation), and tries other lengths when that fit does not converge.
+        (simulation), and tries other lengths when that fit does not converge. In an unstable model they are shorter, so
+        that it grows tenfold at most in one.
     stop : {"tolerance", "paper"}
         "tolerance": steps far below the uncertainty of the estimates, or the tolerance of IPOPT. "paper": relative
         change below 1e-4.
