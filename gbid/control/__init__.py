@@ -58,6 +58,9 @@ from gbid.control.tuning.goals.travel_goal import PiezoTravel
 from gbid.control.tuning.maximise import maximise_damping
 from gbid.control.tuning.pareto import ParetoFront, pareto
 from gbid.control.tuning.plants.uncertainty import Uncertainty
+from gbid.control.tuning.robust.plant_draws import PlantDraws
+from gbid.control.tuning.robust.price import PriceOfRobustness, price_of_robustness
+from gbid.control.tuning.robust.tune_robust import RobustDesign, tune_robust
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.tune import tune
 
@@ -94,13 +97,16 @@ __all__ = [
     "PeakControl",
     "PeakSensitivity",
     "PiezoTravel",
+    "PlantDraws",
     "PointAssessment",
+    "PriceOfRobustness",
     "ResponseGoal",
     "RingDown",
     "RingDownStatus",
     "RmsControl",
     "RmsGoal",
     "RmsPosition",
+    "RobustDesign",
     "RollOff",
     "SampledLoop",
     "Scheduled",
@@ -134,6 +140,7 @@ __all__ = [
     "p_controller",
     "pareto",
     "peak_gain",
+    "price_of_robustness",
     "recorded_disturbance",
     "ringing_modes",
     "sample_controller",
@@ -152,5 +159,6 @@ __all__ = [
     "static_stiffness_ratio",
     "study_impacts",
     "tune",
+    "tune_robust",
     "validate_impact",
 ]

@@ -10,10 +10,11 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.control.controllers.scheduled import Scheduled
+from gbid.control.loop.sampling import sample_plant
 from gbid.control.tuning.plants.controller_law import ControllerLaw
 from gbid.control.tuning.plants.model_family import model_family
 from gbid.control.tuning.plants.plant_set import PlantSet
-from gbid.control.tuning.plants.sampled_loops import Sampling, held, stacked
+from gbid.control.tuning.plants.sampled_loops import Sampling, stacked
 from gbid.control.tuning.search.loop_delay import PADE_ORDER
 from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.errors import UsageError
@@ -62,8 +63,9 @@ class ModelLoops(PlantSet):
         continuous = model_family(stacked(smooth), law, labels, None)
         if self.sampling is None:
             return continuous
-        plants = stacked([held(model, self.sampling) for model in models])
-        law = ControllerLaw(self.structure, chosen, size, self.sampling.sample_time, self.sampling.method)
+        T, computation = self.sampling.sample_time, self.sampling.computation_s
+        plants = stacked([sample_plant(model, T, computation) for model in models])
+        law = ControllerLaw(self.structure, chosen, size, T, self.sampling.method)
         return model_family(plants, law, labels, None, continuous)
 
     def first(self, points: FloatArray) -> list[int]:

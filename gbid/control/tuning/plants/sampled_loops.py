@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -17,8 +17,6 @@ from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate
-
-_LEVEL = 0.01
 
 
 @dataclass(frozen=True)
@@ -96,20 +94,7 @@ class SampledLoops(PlantSet):
             )
         structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
         exact = evaluate(structure, {**self.lpv.actuators, **values}, ("r_x", "r_y"), ("p_x", "p_y"))
-        return held(exact, self.sampling)
-
-
-def held(plant: LinearModel, sampling: Sampling) -> LinearModel:
-    """Return a sampled plant whose states of earlier inputs are scaled down, level by level.
-
-    A delay of several samples is a Jordan block at zero. Scaled like this its eigenvectors determine responses to nine
-    digits, unscaled to four.
-    """
-    found = sample_plant(plant, sampling.sample_time, sampling.computation_s)
-    n, n_u = plant.n_states, plant.D.shape[1]
-    level = np.concatenate([np.zeros(n), 1 + np.arange(found.n_states - n) // n_u])
-    scale = _LEVEL**level
-    return replace(found, A=found.A * scale[:, None] / scale, B=found.B * scale[:, None], C=found.C / scale)
+        return sample_plant(exact, self.sampling.sample_time, self.sampling.computation_s)
 
 
 def stacked(models: Sequence[LinearModel]) -> PlantMatrices:

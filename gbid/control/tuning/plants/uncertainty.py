@@ -28,6 +28,11 @@ class Uncertainty:
         Number of plants drawn from the covariance.
     seed : int
         Seed of the draws.
+    scatter : (14, 14) array, optional
+        Covariance of the deviations of single recordings from the surfaces (`gbid.LPVFit.scatter`). Each draw gets one
+        such deviation, the same at every operating point.
+    chosen : tuple of int, optional
+        Indices of the draws or samples that are used; all by default.
 
     Raises
     ------
@@ -40,6 +45,8 @@ class Uncertainty:
     samples: npt.ArrayLike | None = None
     draws: int = 10
     seed: int = 0
+    scatter: npt.ArrayLike | None = None
+    chosen: tuple[int, ...] | None = None
 
     def __post_init__(self) -> None:
         n = len(KEY_PARAMETERS) * len(TERMS)
@@ -49,6 +56,10 @@ class Uncertainty:
             covariance = np.asarray(self.covariance, float)
             if covariance.shape != (n, n) or not np.isfinite(covariance).all():
                 raise UsageError(f"uncertainty: covariance has shape {covariance.shape}, expected finite {(n, n)}")
+            if self.scatter is not None:
+                lift = np.asarray(self.scatter, float)
+                if lift.shape != (len(KEY_PARAMETERS),) * 2 or not np.isfinite(lift).all():
+                    raise UsageError(f"uncertainty: scatter has shape {lift.shape}, expected finite (14, 14)")
             if self.draws < 1:
                 raise UsageError(f"uncertainty: draws = {self.draws}; give at least 1")
         else:
@@ -67,6 +78,8 @@ class Uncertainty:
             Pressure [bar] and speed [rpm].
         """
         deviations = self._deviations(points)
+        if self.chosen is not None:
+            deviations = [deviations[i] for i in self.chosen]
         nominal = np.hstack([points, np.zeros((len(points), len(KEY_PARAMETERS)))])
         drawn = [np.hstack([points, deviation]) for deviation in deviations]
         return np.vstack([nominal, *drawn])
@@ -76,14 +89,23 @@ class Uncertainty:
         if self.samples is not None:
             samples = np.asarray(self.samples, float)
             return [np.broadcast_to(sample, (len(points), len(sample))) for sample in samples]
-        covariance = np.asarray(self.covariance, float)
-        size = np.sqrt(np.diag(covariance))
-        size = np.where(size > 0, size, 1.0)
-        values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-        if values[0] < -1e-6 * max(values[-1], 1.0):
-            raise UsageError("uncertainty: the covariance has a negative direction; it is no covariance")
-        root = size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
-        normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(size)))
+        root = _root(np.asarray(self.covariance, float))
+        normal = np.random.default_rng(self.seed).standard_normal((self.draws, len(root)))
         terms = np.stack([term * np.ones(len(points)) for term in basis(points[:, 0], points[:, 1])], axis=1)
         coefficients = (normal @ root.T).reshape(self.draws, len(KEY_PARAMETERS), len(TERMS))
-        return [terms @ draw.T for draw in coefficients]
+        found = [terms @ draw.T for draw in coefficients]
+        if self.scatter is not None:
+            lift = np.random.default_rng([self.seed, 1]).standard_normal((self.draws, len(KEY_PARAMETERS)))
+            lift = lift @ _root(np.asarray(self.scatter, float)).T
+            found = [deviation + one for deviation, one in zip(found, lift, strict=True)]
+        return found
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a matrix R with R R' equal to a covariance."""
+    size = np.sqrt(np.diag(covariance))
+    size = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    if values[0] < -1e-6 * max(values[-1], 1.0):
+        raise UsageError("uncertainty: the covariance has a negative direction; it is no covariance")
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -15,6 +15,8 @@ from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
+_USELESS = 1e8
+"""Largest entry of left eigenvectors from which responses are computed without them."""
 _STEPS = np.linspace(0.0, 1.0, 25)
 
 
@@ -32,7 +34,12 @@ def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, freq
     CV = loops.C[which][:, rows] @ modes.right[which]
     WB = modes.left[which] @ loops.B[which]
     resolvent = 1.0 / (1j * frequency[:, :, None] - modes.values[which][:, None, :])
-    return np.asarray((CV[:, None] * resolvent[:, :, None, :]) @ WB[:, None] + loops.D[which][:, None, rows])
+    found = np.asarray((CV[:, None] * resolvent[:, :, None, :]) @ WB[:, None] + loops.D[which][:, None, rows])
+    # nearly defective matrices, such as those of delays of several samples, have no use of their eigenvectors
+    for i in np.flatnonzero(np.abs(modes.left).max(axis=(1, 2))[which] > _USELESS):
+        A, B, C, D = (M[which[i]] for M in (loops.A, loops.B, loops.C[:, rows], loops.D[:, rows]))
+        found[i] = C @ np.linalg.solve(1j * frequency[i, :, None, None] * np.eye(len(A)) - A, B.astype(complex)) + D
+    return found
 
 
 def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:

@@ -1,0 +1,85 @@
+"""Damping that each controller structure buys at caps on the peak of S_o, over the published model's points.
+
+``python -m benchmarks.structures [structure ...]`` designs them one after the other and adds them to
+docs/structures.json, of which the page on tuning makes a table and a picture.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gbid
+from gbid.control import MaxDamping, PeakSensitivity
+from gbid.control.controllers.scheduled import with_schedule
+from gbid.control.controllers.structures import controller_structure
+
+STORED = Path(__file__).parents[1] / "docs" / "structures.json"
+CAPS = (1.5, 2.0, 2.6)
+STARTS = 4
+"""Random starts of the design under the lowest cap; the others start from the design before."""
+KINDS = ("P", "PI", "lead-lag", "PPF", "PD", "full P", "notch", "PID", "observer", "full PD", "biquad", "filter")
+
+
+def designs_of(kind: str, model: gbid.LPVModel, caps: tuple[float, ...] = CAPS, starts: int = STARTS) -> dict[str, Any]:
+    """Return the designs of one structure: number of gains, and damping, peak, status and time under each cap."""
+    structure = with_schedule(controller_structure(kind), model.domain)
+    found: list[dict[str, Any]] = []
+    start: Mapping[str, float] | None = None
+    for cap in caps:
+        began = time.process_time()
+        result = gbid.tune(
+            model,
+            structure,
+            goals=[MaxDamping(), PeakSensitivity(cap)],
+            start=start,
+            starts=starts if start is None else 1,
+        )
+        start = result.gains if result.success else None
+        found.append(
+            {
+                "cap": cap,
+                "damping": result.value,
+                "peak": result.peak_sensitivity,
+                "control": result.peak_control,
+                "status": str(result.status),
+                "cpu_s": time.process_time() - began,
+                "gains": dict(result.gains),
+            }
+        )
+    return {"gains": len(structure.parameters), "designs": found}
+
+
+def structures_table(run: Mapping[str, Any]) -> str:
+    """Return the table of a stored run as Markdown, the structures by rising damping at the middle cap."""
+    caps = run["caps"]
+    rows = sorted(run["structures"].items(), key=lambda item: item[1]["designs"][len(caps) // 2]["damping"])
+    lines = [
+        "| structure | gains | " + " | ".join(f"damping, peak {cap:g}" for cap in caps) + f" | K S_o at {caps[1]:g} |",
+        "|---|---|" + "---|" * (len(caps) + 1),
+    ]
+    for kind, entry in rows:
+        cells = [
+            f"{d['damping']:.3f}" + ("" if d["status"] == "optimal" else f" ({d['status']})") for d in entry["designs"]
+        ]
+        lines.append(f"| {kind} | {entry['gains']} | {' | '.join(cells)} | {entry['designs'][1]['control']:.1f} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    model = gbid.load_model("theisen2016")
+    for kind in sys.argv[1:] or KINDS:
+        entry = designs_of(kind, model)
+        run = json.loads(STORED.read_text(encoding="utf-8")) if STORED.is_file() else {}
+        run |= {"caps": CAPS, "points": len(model.operating_points), "starts": STARTS}
+        run.setdefault("structures", {})[kind] = entry
+        STORED.write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
+        print(kind, entry["gains"], [f"{d['damping']:.4f} ({d['cpu_s']:.0f} s)" for d in entry["designs"]], flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Robust designs: the promise against plants built one by one, fresh draws, and the price."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.control import (
+    MaxDamping,
+    PeakSensitivity,
+    PlantDraws,
+    Uncertainty,
+    controller_model,
+    price_of_robustness,
+    sensitivities,
+    smallest_damping,
+    tune_robust,
+)
+from gbid.control.tuning.robust.plant_draws import lower_bound
+from gbid.errors import UsageError
+from gbid.lpv import TERMS
+from gbid.structure import KEY_PARAMETERS
+
+MODEL = gbid.load_model("theisen2016")
+ONE = [(6.0, 0.0)]
+GOALS = [MaxDamping(), PeakSensitivity(2.0)]
+
+
+def uncertainty(share: float = 0.02) -> Uncertainty:
+    """Independent deviations of the constant terms, and of recordings, as a share of each key parameter."""
+    size = np.array([abs(v) for v in MODEL.key_parameters(6.0, 0.0).values()])
+    covariance = np.zeros((len(KEY_PARAMETERS) * len(TERMS),) * 2)
+    for i, value in enumerate(size):
+        covariance[i * len(TERMS), i * len(TERMS)] = (share * value) ** 2
+    return Uncertainty(covariance, scatter=np.diag((share * size) ** 2))
+
+
+OPTIONS = {"uncertainty": uncertainty(), "operating_points": ONE}
+
+
+def test_promise_holds_on_plants_that_nobody_has_seen() -> None:
+    robust = tune_robust(MODEL, "P", goals=GOALS, probability=0.9, **OPTIONS, draws=100, fresh=300)
+    assert robust.result.success
+    assert robust.plants
+    rng = np.random.default_rng(5)
+    nominal, held, kept = MODEL.key_parameters(6.0, 0.0), 0, 0
+    K = controller_model(robust.result.controller, robust.result.gains)
+    n = 400
+    for _ in range(n):
+        changed = {
+            key: (v + 0.02 * abs(v) * np.sqrt(2) * rng.standard_normal(), *5 * (0.0,)) for key, v in nominal.items()
+        }
+        plant = replace(MODEL, coefficients=changed).plant_at(6.0, 0.0)
+        loop = sensitivities(plant, K)
+        held += smallest_damping(loop.model("output")) >= robust.promised - 1e-9
+        kept += loop.peak("output").value <= 2.0 * np.exp(1e-3)
+    assert held / n > 0.9 - 2.5 * np.sqrt(0.09 / n)
+    assert kept / n > robust.keeps_limits - 2.5 * np.sqrt(0.09 / n)
+    assert robust.holds == (robust.keeps_limits >= 0.9)
+    plain = gbid.tune(MODEL, "P", goals=GOALS, operating_points=ONE)
+    assert robust.promised < plain.value
+
+
+def test_price_falls_with_the_probability() -> None:
+    price = price_of_robustness(
+        MODEL,
+        "P",
+        goals=GOALS,
+        probabilities=(0.9, 0.6),
+        **OPTIONS,
+        draws=60,
+        fresh=200,
+    )
+    assert price.probabilities == (0.6, 0.9)
+    assert price.promised[0] > price.promised[1]
+    assert price.nominal > price.promised[0]
+    assert price.designs[1].keeps_limits > price.limits_of_nominal
+
+
+def test_sampled_designs_are_tried_as_sampled_loops() -> None:
+    options = {**OPTIONS, "draws": 30, "fresh": 100}
+    robust = tune_robust(MODEL, "P", goals=GOALS, sample_time=2e-4, **options)
+    assert robust.result.sample_time == 2e-4
+    assert robust.fresh.value.min() > 0
+
+
+def test_order_statistic_and_bound_are_known_ones() -> None:
+    draws = PlantDraws(np.arange(59.0), np.zeros(59))
+    assert draws.promised(0.95, 0.95) == 0.0  # 59 trials: the smallest value has 95 % with 95 % confidence (Wilks 1941)
+    assert PlantDraws(np.arange(58.0), np.zeros(58)).promised(0.95, 0.95) == -np.inf
+    assert PlantDraws(np.arange(93.0), np.zeros(93)).promised(0.95, 0.95) == 1.0  # 93 trials: the second smallest
+    assert lower_bound(1.0, 59, 0.95) == pytest.approx(0.05 ** (1 / 59))
+    assert draws.share(29.0) == pytest.approx(30 / 59)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({}, "has no uncertainty"),
+        ({"uncertainty": Uncertainty(samples=np.zeros((3, 14)))}, "cannot be drawn anew"),
+        ({"uncertainty": uncertainty(), "probability": 1.0}, "give 0.5 to 1"),
+        ({"uncertainty": uncertainty(), "draws": 2}, "at least 10"),
+    ],
+)
+def test_requests_that_make_no_sense_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        tune_robust(MODEL, "P", goals=GOALS, operating_points=ONE, **options)
