@@ -143,7 +143,13 @@ class Scheduled:
         return self.base_at(speed_rpm).matrices(Values(self.gains(p, pressure_bar, speed_rpm)))
 
     def base_at(self, speed_rpm: Any) -> Structure:
-        """Return the base structure at a speed [rpm], which matters when its matrices follow the speed."""
+        """Return the base structure at a speed, which matters when its matrices follow the speed.
+
+        Parameters
+        ----------
+        speed_rpm : float or casadi.SX
+            Speed [rpm].
+        """
         return self.base.at_speed(speed_rpm) if isinstance(self.base, FollowsSpeed) else self.base
 
     def at(self, pressure_bar: float, speed_rpm: float) -> LinearStructure:

@@ -24,7 +24,7 @@ class BiquadStructure(PerAxis):
 
     Parameters
     ----------
-    lowpass_hz, order, tune_corner
+    lowpass_hz, order, tune_corner, axes
         As in `PStructure`; by default there is no low-pass.
     gain_limit : float
         Bound on the magnitude of b0, b1 and b2 [m/m].

@@ -27,6 +27,8 @@ class PStructure(PerAxis):
         Whether the corner frequency is a gain as well, ``lowpass_khz`` [kHz].
     lower, upper : float
         Bounds of the gains [m/m].
+    axes : tuple of str
+        Names of the axes; ``("",)`` for one input and one output with plain names.
     """
 
     lower: float = 0.0

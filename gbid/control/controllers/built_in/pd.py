@@ -20,7 +20,7 @@ class PDStructure(PerAxis):
 
     Parameters
     ----------
-    lowpass_hz, order, tune_corner
+    lowpass_hz, order, tune_corner, axes
         As in `PStructure`; the order is at least 1.
     lower, upper : float
         Bounds of the proportional gains [m/m].

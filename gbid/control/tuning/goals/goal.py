@@ -31,7 +31,15 @@ class Goal(ABC):
 
     @abstractmethod
     def add_to(self, limits: Limits, context: DesignContext) -> Limits:
-        """Return the limits with this goal."""
+        """Return the limits with this goal.
+
+        Parameters
+        ----------
+        limits : Limits
+            Objective and limits so far.
+        context : DesignContext
+            What goals need to know about the loops.
+        """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +66,13 @@ class Wanted(Goal):
 
     @abstractmethod
     def measure(self, context: DesignContext) -> Measure:
-        """Return the measure of this goal with its weight."""
+        """Return the measure of this goal with its weight.
+
+        Parameters
+        ----------
+        context : DesignContext
+            What goals need to know about the loops.
+        """
 
     def add_to(self, limits: Limits, context: DesignContext) -> Limits:
         """Return the limits with this goal among the objectives or the limits."""

@@ -55,7 +55,13 @@ class ResponseGoal(Wanted):
 
 @dataclass(frozen=True)
 class PeakSensitivity(ResponseGoal):
-    """Largest singular value of the output sensitivity S_o; see `ResponseGoal`."""
+    """Largest singular value of the output sensitivity S_o.
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
 
     response = LoopResponse.SENSITIVITY
     label = "S_o"
@@ -64,7 +70,13 @@ class PeakSensitivity(ResponseGoal):
 
 @dataclass(frozen=True)
 class PeakControl(ResponseGoal):
-    """Largest singular value of the control effort K S_o [m/m]; see `ResponseGoal`."""
+    """Largest singular value of the control effort K S_o [m/m].
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
 
     response = LoopResponse.CONTROL
     label = "K S_o"
@@ -73,7 +85,13 @@ class PeakControl(ResponseGoal):
 
 @dataclass(frozen=True)
 class PeakComplementary(ResponseGoal):
-    """Largest singular value of the complementary sensitivity T_o = I - S_o; see `ResponseGoal`."""
+    """Largest singular value of the complementary sensitivity T_o = I - S_o.
+
+    Parameters
+    ----------
+    limit, soft, weight
+        See `ResponseGoal`.
+    """
 
     response = LoopResponse.COMPLEMENTARY
     label = "T_o"

@@ -74,7 +74,13 @@ class RmsGoal(Wanted):
 
 @dataclass(frozen=True)
 class RmsPosition(RmsGoal):
-    """Rms of the position p + d under a measured disturbance; see `RmsGoal`."""
+    """Rms of the position p + d under a measured disturbance.
+
+    Parameters
+    ----------
+    limit_m, disturbance, soft, weight
+        See `RmsGoal`.
+    """
 
     control = False
     label = "p"
@@ -82,7 +88,13 @@ class RmsPosition(RmsGoal):
 
 @dataclass(frozen=True)
 class RmsControl(RmsGoal):
-    """Rms of the reference r, the motion that the piezos are asked for, under a measured disturbance; see `RmsGoal`."""
+    """Rms of the reference r, the motion that the piezos are asked for, under a measured disturbance.
+
+    Parameters
+    ----------
+    limit_m, disturbance, soft, weight
+        See `RmsGoal`.
+    """
 
     control = True
     label = "r"

@@ -37,11 +37,23 @@ class PlantDraws:
         return (self.violation <= HOLDS).astype(float)
 
     def share(self, value: float) -> float:
-        """Return the share of plants that reach a value and keep all limits."""
+        """Return the share of plants that reach a value and keep all limits.
+
+        Parameters
+        ----------
+        value : float
+            Damping factor or decay [1/s].
+        """
         return float(((self.value >= value - 1e-9) & (self.violation <= HOLDS)).mean())
 
     def reached(self, probability: float) -> float:
-        """Return the value that this share of the plants reaches."""
+        """Return the value that a share of the plants reaches.
+
+        Parameters
+        ----------
+        probability : float
+            The share.
+        """
         ranked = np.sort(self.value)
         return float(ranked[int(np.floor((1 - probability) * len(ranked) + 1e-9))])
 
@@ -50,6 +62,11 @@ class PlantDraws:
 
         It is the k-th smallest value of the draws. That a share of at least `probability` of all plants reaches it has
         the confidence ``P(Binomial(n, 1 - probability) >= k)``. Minus infinity when there are too few draws.
+
+        Parameters
+        ----------
+        probability, confidence : float
+            Between 0 and 1.
         """
         n = len(self.value)
         k = int(binom.ppf(1 - confidence, n, 1 - probability))
