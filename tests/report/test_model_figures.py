@@ -13,6 +13,7 @@ from gbid.identify import fit, measured_response
 from gbid.lpv import load_model
 from gbid.recording import Recording
 from gbid.structure import LinearModel, evaluate
+from gbid.validate import check_residuals
 
 
 @pytest.fixture(scope="module")
@@ -102,6 +103,12 @@ def test_responses_with_bands(result, plot, kind):
     np.testing.assert_array_equal(axes[0, 0].lines[1].get_ydata(), data.value[:, 0, 0])
     assert len(axes[0, 0].collections) == 1
     assert axes[0, 0].get_ylabel() == f"{kind} response"
+
+
+def test_residuals_of_a_fit_in_a_new_figure(rec, result):
+    axes = report.plot_residuals(check_residuals(result, rec))
+    assert axes.shape == (1, 2)
+    assert [ax.get_title(loc="center").split()[0] for ax in axes[0]] == ["autocorrelation", "correlation"]
 
 
 def test_responses_of_several_models_share_their_time(result):

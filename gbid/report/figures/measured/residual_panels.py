@@ -112,21 +112,30 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
     return figure
 
 
-def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]]) -> None:
-    """Draw the correlations of a residual test into given axes.
+def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]] | None = None) -> npt.NDArray[np.object_]:
+    """Draw the correlations of a residual test into given axes, or those of a new figure.
 
     Parameters
     ----------
     test : ResidualTest
         Result of `gbid.check_residuals`.
-    axes : sequence of rows of matplotlib Axes
-        Row of axes for each output: autocorrelation, then cross-correlation with each input.
+    axes : sequence of rows of matplotlib Axes, optional
+        Row of axes for each output: autocorrelation, then cross-correlation with each input. A new figure with a title
+        when left out.
+
+    Returns
+    -------
+    (n_outputs, 1 + n_inputs) array of matplotlib Axes
+        The axes; ``axes[0, 0].figure`` is the figure.
 
     Raises
     ------
     UsageError
         When there are too few axes.
     """
+    if axes is None:
+        n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
+        return np.array(residuals_figure(test).axes[: n_rows * n_columns], dtype=object).reshape(n_rows, n_columns)
     rows = residuals_data(test)
     if len(axes) < len(rows) or any(len(row) < len(panels) for row, panels in zip(axes, rows, strict=False)):
         raise UsageError(f"residuals need {len(rows)} rows of {len(rows[0])} axes")
@@ -142,6 +151,7 @@ def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]]) -> None:
         _milliseconds_above(axes[0][i], panel)
         axes[0][i].set_title("autocorrelation" if i == 0 else f"correlation with {symbol(panel.against)}", pad=8)
         axes[len(rows) - 1][i].set_xlabel("lag [samples]")
+    return np.array([list(row)[: len(rows[0])] for row in axes[: len(rows)]], dtype=object)
 
 
 def _plot_panel(panel: ResidualPanel, ax: Axes) -> None:
