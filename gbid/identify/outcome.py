@@ -19,8 +19,9 @@ from gbid.identify.problem.assembly import Assembly
 from gbid.identify.result import FitResult
 from gbid.identify.robust.reweighting import Reweighted
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
+from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
-from gbid.identify.uncertainty.whiteness import whiteness_and_memory, whiteness_test
+from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
@@ -79,16 +80,14 @@ def outcome(
     by_record = _by_record(problem, errors, assembly)
     whole = np.asarray(sum(e.T @ e for e in every))
     worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted, options.horizon))
-    white, memory = whiteness_and_memory(by_record) if finite else (whiteness_test(by_record), 1)
+    white = whiteness_test(by_record)
     sound = bool(finite) and not worse
     trusted: Literal["white", "robust"] = (
         "white" if sound and (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
     )
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
-        own = _covariance(
-            problem, theta, starts, assembly, products, memory, on_bound, initial_known, trusted == "robust"
-        )
+        own = _covariance(problem, theta, starts, assembly, products, on_bound, initial_known, trusted == "robust")
         if light is None:
             return own
         white, robust = light.factors
@@ -149,6 +148,7 @@ def outcome(
         start_origin={name: origin.get(own_name[name], "structure") for name in estimates},
         notes=(
             *_notes(assembly, begin, free, on_bound, found, trusted),
+            *_doubts(problem, theta, structure, assembly, found),
             *_edge_note(problem, theta),
             *_light_note(light),
         ),
@@ -187,7 +187,6 @@ def _covariance(
     starts: FloatArray,
     assembly: Assembly,
     products: FloatArray,
-    memory: int,
     on_bound: BoolArray,
     initial_known: bool,
     coloured: bool,
@@ -203,7 +202,6 @@ def _covariance(
             starts,
             assembly.record_window,
             products,
-            memory,
             on_bound,
             initial_known=initial_known,
             coloured=coloured,
@@ -260,6 +258,18 @@ def _notes(
 def overflow_notes(points: int) -> tuple[str, ...]:
     """Return a note on the points at which the model overflowed, none for none."""
     return (f"the model overflows at {points} of the points that the solver tried; it stepped back",) if points else ()
+
+
+def _doubts(
+    problem: Shooting, theta: FloatArray, structure: Structure, assembly: Assembly, found: Covariance
+) -> tuple[str, ...]:
+    names = np.array([q.name for q in assembly.free])
+    known, own = {q.name for q in structure.parameters}, assembly.own_names
+    # A disturbance gain or a trend may well be zero: an open sign says nothing there.
+    physical = np.array([own[name] in known and i not in problem.noise for i, name in enumerate(names)], bool)
+    physical &= ~np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
+    white = found.white[np.ix_(physical, physical)]
+    return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(found, names))
 
 
 def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:

@@ -29,11 +29,11 @@ def test_hessians_and_scores_of_two_records_are_the_sums_of_their_slopes(window)
     np.testing.assert_allclose(found.hessian, 3.0 * expected, rtol=1e-9, atol=1e-9)
     np.testing.assert_allclose(found.shaped, 0.25 * expected, rtol=1e-9, atol=1e-9)
     assert found.observed is None
-    for i, (scores, own, e) in enumerate(zip(found.scores, slopes, errors, strict=True)):
-        assert scores.shape == (8, 3)
-        by_block = -3.0 * np.add.reduceat(own * e[:, None], np.arange(0, 400, 50))
-        np.testing.assert_allclose(scores[:, [0, 1 + i]], by_block, rtol=1e-9, atol=1e-9)
-        assert (scores[:, 2 - i] == 0).all()  # the other record's start
+    for i, (record, own, e) in enumerate(zip(found.sensitivities, slopes, errors, strict=True)):
+        np.testing.assert_array_equal(record.columns, [0, 1 + i])
+        np.testing.assert_allclose(record.psi[0].T, own, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(record.errors[:, 0], e, rtol=1e-9, atol=1e-9)
+        assert record.counted.all()
 
 
 def test_without_feedback_of_errors_a_linear_gain_leaves_nothing_out():

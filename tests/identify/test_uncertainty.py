@@ -10,7 +10,6 @@ from scipy.signal import lfilter
 from scipy.stats import kstest
 
 from gbid.identify import correlation, fit, whiteness_test
-from gbid.identify.uncertainty.whiteness import whiteness_and_memory
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, Plant, RotorBearing, evaluate
 
@@ -204,15 +203,6 @@ def test_correlation_is_numpys(n, lags):
 
 def test_correlation_of_nothing_is_nothing():
     np.testing.assert_array_equal(correlation(np.zeros(20), np.ones(20), 4), np.zeros(5))
-
-
-@pytest.mark.parametrize(("rho", "low", "high"), [(0.0, 1, 1), (0.5, 3, 12), (0.9, 12, 60), (0.97, 20, 200)])
-@pytest.mark.parametrize("n", [3000, 12000])
-def test_the_memory_of_noise_is_found_and_no_more(rho, low, high, n):
-    """Estimated correlations of coloured noise wander: they must not be taken for a long memory."""
-    found = [whiteness_and_memory([coloured(n, rho, seed)[:, None] + 7.0])[1] for seed in range(10)]
-    assert low <= min(found)
-    assert max(found) <= high
 
 
 # ---- what follows from the parameters ----

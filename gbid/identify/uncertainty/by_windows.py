@@ -21,6 +21,7 @@ from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.stability import spectral_radius
 from gbid.identify.predictor import PredictorValues
 from gbid.identify.uncertainty.information import Information
+from gbid.identify.uncertainty.sensitivities import RecordSensitivities
 
 _GROWTH = 1e3  # of a model over a record, up to which one pass over the record is accurate
 
@@ -182,7 +183,6 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
 
 def information_by_windows(
     problem: Shooting,
-    block: int,
     theta: FloatArray,
     starts: FloatArray,
     record_window: IntArray,
@@ -199,24 +199,21 @@ def information_by_windows(
     ----------
     problem, theta, starts, record_window, initial_known
         As for `windowed_records`.
-    block : int
-        Number of samples of a block, for which gradients are summed.
     weight, shaped : (n_y, n_y) array
         Weights of the errors for the two Hessians.
     """
     n, n_p = problem.n_states, problem.n_theta
     n_all = n_p + len(record_window) * n
     hessians = np.zeros((2, n_all, n_all))
-    scores = []
+    sensitivities = []
     records = windowed_records(problem, theta, starts, record_window, initial_known=initial_known)
     for i, record in enumerate(records):
         columns = np.concatenate([np.arange(n_p), n_p + i * n + np.arange(n)])
         for total, W in zip(hessians, (weight, shaped), strict=True):
             total[np.ix_(columns, columns)] += np.einsum("kyi,yz,kzj->ij", record.psi, W, record.psi, optimize=True)
-        gradient = np.zeros((len(record.errors), n_all))
-        gradient[:, columns] = -np.einsum("kyi,ky->ki", record.psi, record.errors @ weight, optimize=True)
-        scores.append(np.add.reduceat(gradient, np.arange(0, len(gradient), block)))
-    return Information(hessians[0], hessians[1], None, scores)
+        psi = np.ascontiguousarray(record.psi.transpose(1, 2, 0))
+        sensitivities.append(RecordSensitivities(columns, psi, record.errors, record.counted > 0))
+    return Information(hessians[0], hessians[1], None, iter(sensitivities))
 
 
 def grows(problem: Shooting, theta: FloatArray) -> bool:

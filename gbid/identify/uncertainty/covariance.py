@@ -7,17 +7,18 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
-from gbid.identify.kernel.blocks import LONGEST_BLOCK
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.uncertainty.by_windows import grows, information_by_windows
 from gbid.identify.uncertainty.information import information_over_records
+from gbid.identify.uncertainty.score_covariance import score_covariance
 
 _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
+# Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
+# that of Gauss-Newton, and the scores are those of white errors.
+_RESOLVED = 1e-8
 FLATTEST = 1e-4
 """Smallest curvature of a minimum, as a part of the Gauss-Newton curvature."""
-_BLOCKS = 64  # smallest number of blocks, in which scores are summed before they are correlated
-_SHORTEST, _LONGEST = 8, 64  # samples in such a block
-_MOST_BLOCKS = 200  # largest number of blocks; in long records blocks become longer
+_BLOCK = 64  # samples of a block of the pass
 
 
 class Covariance(NamedTuple):
@@ -52,7 +53,6 @@ def covariance(
     starts: FloatArray,
     record_window: IntArray,
     error_products: FloatArray,
-    memory: int,
     held: BoolArray,
     *,
     initial_known: bool = False,
@@ -72,14 +72,13 @@ def covariance(
         First window of each record.
     error_products : (n_y, n_y) array
         Sum of the products of errors, ``sum e e'``.
-    memory : int
-        Number of samples over which residuals are correlated.
     held : (n_p,) boolean array
         Parameters on a bound; they count as known, and their rows are zero.
     initial_known : bool
         Whether initial states were given instead of estimated.
     coloured : bool
-        Whether the robust covariance uses the exact Hessian of the cost, which needs a pass for each parameter.
+        Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
+        residuals and the exact Hessian of the cost, which needs a pass for each parameter.
 
     Returns
     -------
@@ -92,26 +91,25 @@ def covariance(
     ``sum psi' W e``, the estimates have the covariance ``H^-1 J H^-1`` (Ljung, System Identification,
     Secs. 9.2 to 9.4). White residuals do not depend on the past. Then the Gauss-Newton approximation
     ``H = sum psi' W psi`` is sufficient, and with the covariance Lambda of the residuals
-    ``J = sum psi' W Lambda W psi``. For coloured
-    residuals H also contains ``-sum psi_i' W d psi_j``, which is its largest part along the disturbance gain. The
-    robust J sums the products of the gradients of neighbouring blocks, with weights that decrease to zero at a few
-    times the correlation length of the residuals (Newey and West, 1987), and is corrected for the degrees of freedom
-    of the fit. A prior adds its information to H, and to J as a measurement with its variance does.
+    ``J = sum psi' W Lambda W psi``. For coloured residuals H also contains ``-sum psi_i' W d psi_j``, which is its
+    largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.score_covariance`. A prior
+    adds its information to H, and to J as a measurement with its variance does.
     """
     n_p = problem.n_theta
     n_all = n_p + len(record_window) * problem.n_states
     weight = problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
-    block = min(max(problem.n_samples // _BLOCKS, _SHORTEST), _LONGEST)
-    block = max(block, min(problem.n_samples // _MOST_BLOCKS, LONGEST_BLOCK))
     shaped = weight @ (error_products / freedom) @ weight
+    share = float(np.trace(shaped)) / float(np.trace(weight))
+    # Weighted by the inverse of the covariance of the errors, one pass gives both.
+    alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
     if grows(problem, theta):
         found = information_by_windows(
-            problem, block, theta, starts, record_window, weight, shaped, initial_known=initial_known
+            problem, theta, starts, record_window, weight, shaped, initial_known=initial_known
         )
     else:
         found = information_over_records(
-            problem, block, theta, starts, record_window, weight, shaped=shaped, observed=coloured
+            problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=coloured
         )
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
@@ -120,61 +118,43 @@ def covariance(
     keep = np.concatenate([~held, np.full(n_all - n_p, not initial_known)])
     kept = np.ix_(keep, keep)
     H = (found.hessian + np.diag(known))[kept]
-    J_white = (found.shaped + np.diag(known * unit))[kept]
-    lag = max(1, round(3 * memory / block))
-    J_robust = long_run([scores[:, keep] for scores in found.scores], lag) / share_left(
-        list(map(len, found.scores)), lag
-    )
-    J_robust += np.diag(known * unit)[kept]
+    J_white = ((share * found.hessian if alike else found.shaped) + np.diag(known * unit))[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
     eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
     dark = eigenvalues < _UNDETERMINED * eigenvalues[-1]
     root = vectors[:, ~dark] / np.sqrt(eigenvalues[~dark]) / scale[:, None]  # root root' is the inverse
-    inverse, flatness = root @ root.T, np.nan
-    n_kept = int((~held).sum())
+    flatness, n_kept = np.nan, int((~held).sum())
 
-    def over_parameters(J: FloatArray, inverse: FloatArray) -> FloatArray:
+    def over_parameters(J: FloatArray, onto: FloatArray) -> FloatArray:
         result = np.zeros((n_p, n_p))
-        result[np.ix_(~held, ~held)] = (inverse @ J @ inverse)[:n_kept, :n_kept]
+        result[np.ix_(~held, ~held)] = (onto @ J @ onto.T)[:n_kept, :n_kept]
         return result
 
-    white = over_parameters(J_white, inverse)
-    if found.observed is not None:
-        own, axes = np.linalg.eigh(root.T @ (found.observed + np.diag(known))[kept] @ root)
-        flatness = float(own[0])
-        if flatness >= FLATTEST:
-            axes = root @ axes
-            inverse = (axes / own) @ axes.T
+    J_white = root.T @ J_white @ root
+    white = robust = over_parameters(J_white, root)
+    if coloured:
+        J, _ = score_covariance(found.sensitivities, weight, root, np.flatnonzero(keep))
+        J += root.T @ np.diag(known * unit)[kept] @ root
+        blurred = eigenvalues[~dark] < _RESOLVED * eigenvalues[-1]
+        onto = root
+        if found.observed is not None:
+            exact = root.T @ (found.observed + np.diag(known))[kept] @ root
+            own, axes = np.linalg.eigh(_with_rounding(exact, blurred, np.eye(len(blurred))))
+            flatness = float(own[0])
+            onto = root @ (axes / own) @ axes.T if flatness >= FLATTEST else root
+        robust = over_parameters(_with_rounding(J, blurred, J_white), onto)
 
     directions = np.zeros((int(dark.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, dark].T
     # A direction of initial states alone does not concern the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-    return Covariance(white, over_parameters(J_robust, inverse), flatness, directions, condition)
+    return Covariance(white, robust, flatness, directions, condition)
 
 
-def long_run(scores: list[FloatArray], lag: int) -> FloatArray:
-    """Return the covariance of the sum of scores; products of blocks up to `lag` apart have decreasing weights."""
-    n = scores[0].shape[1]
-    total = np.zeros((n, n))
-    for s in scores:
-        total += s.T @ s
-        for shift in range(1, min(lag, len(s) - 1) + 1):
-            product = s[shift:].T @ s[:-shift]
-            total += (1 - shift / (lag + 1)) * (product + product.T)
-    return total
-
-
-def share_left(lengths: list[int], lag: int) -> float:
-    """Return the mean share of `long_run` that remains for scores whose sum is zero, as at an estimate.
-
-    The lost share is that of the weights in all pairs of blocks (Kiefer and Vogelsang, 2005). The result is at least
-    1/3.
-    """
-    counted = float(sum(lengths))
-    for length in lengths:
-        shifts = np.arange(1, min(lag, length - 1) + 1)
-        counted += 2 * float(((1 - shifts / (lag + 1)) * (length - shifts)).sum())
-    return max(1 - counted / sum(lengths) ** 2, 1 / 3)
+def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) -> FloatArray:
+    """Return a matrix with another one in the directions that rounding has blurred."""
+    result = matrix.copy()
+    result[blurred], result[:, blurred] = instead[blurred], instead[:, blurred]
+    return result

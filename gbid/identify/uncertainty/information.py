@@ -2,20 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.block_sums import PassEngine
+from gbid.identify.kernel.block_sums import BlockSums, PassEngine
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
-from gbid.identify.kernel.sweep import Sweep, block_sums, joined, link, powers_of, start_hessians, starts_of_blocks
+from gbid.identify.kernel.sweep import (
+    Linked,
+    Sweep,
+    block_sums,
+    joined,
+    link,
+    powers_of,
+    start_hessians,
+    starts_of_blocks,
+)
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.predictor import PredictorValues
+from gbid.identify.uncertainty.sensitivities import RecordSensitivities, joined_segments, of_segment
 
 _BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
 
@@ -31,14 +41,14 @@ class Information(NamedTuple):
         Gauss-Newton Hessian with another weight.
     observed : (n_all, n_all) array or None
         Exact Hessian in the columns of the parameters.
-    scores : list of (n_blocks, n_all) array
-        Gradient of each block of samples, for each record.
+    sensitivities : iterator of RecordSensitivities
+        Sensitivities of the predictions of each record, which are made one by one.
     """
 
     hessian: FloatArray
     shaped: FloatArray
     observed: FloatArray | None
-    scores: list[FloatArray]
+    sensitivities: Iterator[RecordSensitivities]
 
 
 class RecordInformation(NamedTuple):
@@ -57,11 +67,12 @@ class RecordInformation(NamedTuple):
 
 
 class _Pass(NamedTuple):
-    """Pass over segments, each one window: its sums, and the gradient of each block by parameters and by start."""
+    """Pass over segments, each one window: the starts of blocks, sums, and how the blocks are linked."""
 
+    begin: FloatArray
     sums: Sweep
-    by_theta: FloatArray
-    by_start: FloatArray
+    linked: Linked
+    by_block: BlockSums
 
 
 def information_over_records(
@@ -116,10 +127,9 @@ def information_over_records(
         passes.append(_run(v, cuts[-1], part.engine, begin, weights))
     _follow_segments(problem, [own[0].sums for own in passes], chains)
     gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
-    scores: list[list[tuple[int, FloatArray]]] = [[] for _ in record_window]
     exact = _exact(problem, theta, starts, [own[0].sums for own in passes], weight) if observed else []
     whole = np.zeros((n_all, n_all))
-    for k, (part, blocks, own) in enumerate(zip(problem.parts, cuts, passes, strict=True)):
+    for k, (part, own) in enumerate(zip(problem.parts, passes, strict=True)):
         windows = problem.first_window[k] + part.blocks.segment_first
         along = [chains[int(window)][0] for window in windows]
         for total, each in zip(gauss_newton, own, strict=True):
@@ -128,14 +138,8 @@ def information_over_records(
         if observed:
             symmetric = PartHessian((exact[k].theta + exact[k].theta.T) / 2, exact[k].mixed)
             _add(whole, part.index, symmetric, own[0].sums.hessian_start, along)
-        for i, window in enumerate(windows):
-            T, record = chains[int(window)]
-            here = slice(blocks.window_first[i], blocks.window_first[i] + blocks.window_size[i])
-            found = own[0].by_start[here] @ T
-            found[:, part.index] += own[0].by_theta[here]
-            scores[record].append((int(window), found))
-    ordered = [np.concatenate([s for _, s in sorted(found, key=lambda item: item[0])]) for found in scores if found]
-    return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, ordered)
+    sensitivities = _sensitivities(problem, theta, cuts, [own[0] for own in passes], chains)
+    return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, sensitivities)
 
 
 def record_information(
@@ -170,7 +174,7 @@ def record_information(
             mixed = own.sums.hessian_mixed[0]
             found[int(first + window)] = RecordInformation(
                 np.block([[own.sums.hessian, mixed], [mixed.T, own.sums.hessian_start[0]]]),
-                -np.hstack([own.by_theta, own.by_start]),
+                -_scores(own),
             )
     return [found[int(window)] for window in record_window]
 
@@ -193,20 +197,49 @@ def _run(
 ) -> list[_Pass]:
     """Run a pass for each weight from the starts of the segments, (n_segments, n); blocks are equal in all passes."""
     powers = powers_of(v.F, blocks.length)
-    begin, live = starts_of_blocks(v, blocks, starts, powers[-1], engine), slice(0, blocks.n_blocks)
+    begin = starts_of_blocks(v, blocks, starts, powers[-1], engine)
     found = []
     for weight in weights:
         sums, free = block_sums(v, blocks, begin, weight, powers, engine)
         linked = link(blocks, sums.end_theta, powers)
-        by_start = sums.gradient_start[live][:, None, :]
-        found.append(
-            _Pass(
-                joined(blocks, sums, start_hessians(blocks, free), linked),
-                sums.gradient[live] + (by_start @ linked.by_theta[live])[:, 0],
-                (by_start @ linked.by_start[live])[:, 0],
-            )
-        )
+        found.append(_Pass(begin, joined(blocks, sums, start_hessians(blocks, free), linked), linked, sums))
     return found
+
+
+def _scores(own: _Pass) -> FloatArray:
+    """Return the gradient of each block by the parameters and the start of its window."""
+    live = slice(0, int(own.linked.by_theta.shape[0]))
+    by_start = own.by_block.gradient_start[live][:, None, :]
+    by_theta = own.by_block.gradient[live] + (by_start @ own.linked.by_theta)[:, 0]
+    return np.hstack([by_theta, (by_start @ own.linked.by_start)[:, 0]])
+
+
+def _sensitivities(
+    problem: Shooting,
+    theta: FloatArray,
+    cuts: Sequence[Blocks],
+    passes: Sequence[_Pass],
+    chains: dict[int, tuple[FloatArray, int]],
+) -> Iterator[RecordSensitivities]:
+    """Make the sensitivities of one record after the other; those of all records would fill the memory."""
+    of_record: dict[int, list[tuple[int, int, int]]] = {}  # windows, parts and places of its segments
+    for k, (part, first) in enumerate(zip(problem.parts, problem.first_window[:-1], strict=True)):
+        for i, window in enumerate(part.blocks.segment_first):
+            at = int(first + window)
+            of_record.setdefault(chains[at][1], []).append((at, k, i))
+    values = problem.values(theta)
+    predictions = [
+        part.engine.predict(v, blocks, own.begin)
+        for v, part, blocks, own in zip(values, problem.parts, cuts, passes, strict=True)
+    ]
+    for record in sorted(of_record):
+        segments, feedback = [], None
+        for at, k, i in sorted(of_record[record]):
+            own, part = of_segment(values[k], cuts[k], predictions[k], passes[k].linked, i), problem.parts[k]
+            segments.append((own, part.index, chains[at][0]))
+            if part.predictor.feeds_back and part.predictor.horizon == 1:
+                feedback = values[k], part.index
+        yield joined_segments(segments, feedback)
 
 
 def _add(

@@ -12,7 +12,6 @@ from gbid.arrays import FloatArray
 
 LAGS = 25
 """Number of lags of the test."""
-_LONGEST = 2000  # largest correlation length that is looked for
 _FEW = 64  # largest number of lags for which products are faster than transforms
 
 
@@ -89,23 +88,6 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
     return _portmanteau([_autocorrelation(record, lags) for record in errors], lags)
 
 
-def whiteness_and_memory(errors: list[FloatArray]) -> tuple[Whiteness, int]:
-    """Return the whiteness test of residuals, and their correlation length in samples.
-
-    Both come from one autocorrelation. The correlation length is the lag beyond which the autocorrelation is
-    insignificant, at least 1. The confidence band is that of Bartlett, which widens with the correlation at smaller
-    lags. Estimated autocorrelations of coloured residuals are coloured themselves, and leave the band of white
-    residuals.
-
-    Parameters
-    ----------
-    errors : list of (n_samples, n_y) array
-        Residuals of each record, finite.
-    """
-    found = [_autocorrelation(record, max(LAGS, min(len(record) // 10, _LONGEST))) for record in errors]
-    return _portmanteau(found, LAGS), max([1, *(_reach(n, rho) for n, record in found for rho in record)])
-
-
 def _autocorrelation(errors: FloatArray, lags: int) -> _Autocorrelation:
     centred = errors - errors.mean(0)
     return _Autocorrelation(len(errors), np.array([correlation(channel, channel, lags)[1:] for channel in centred.T]))
@@ -118,19 +100,3 @@ def _portmanteau(records: list[_Autocorrelation], lags: int) -> Whiteness:
     for n, rho in used:
         statistic += n * (n + 2) * (rho**2 / (n - np.arange(1, lags + 1))).sum(axis=1)
     return Whiteness(statistic, np.asarray(chdtrc(lags * max(1, len(used)), statistic)), lags)
-
-
-def _reach(n: int, rho: FloatArray) -> int:
-    """Return the lag beyond which an autocorrelation stays inside its band; 0 when it never leaves it."""
-    rho = rho[: min(n // 10, _LONGEST)]
-    if len(rho) < 2:
-        return 0
-    variance = (1 + 2 * np.concatenate([[0.0], np.cumsum(rho[:-1] ** 2)])) / n
-    # Smoothed over a few lags: of thousands of lags one leaves its band by chance.
-    outside = np.flatnonzero(np.convolve(np.abs(rho), np.ones(5) / 5, "same") > 3.3 * np.sqrt(variance)) + 1
-    reach = 0
-    for lag in outside:
-        if lag > 2 * reach + 50:  # inside the band for longer than before: later excursions are chance
-            break
-        reach = int(lag)
-    return reach

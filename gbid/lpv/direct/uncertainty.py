@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.uncertainty.covariance import long_run
 from gbid.identify.uncertainty.information import RecordInformation
 from gbid.lpv.surface_fit.mixed import with_scatter
 
@@ -76,7 +75,7 @@ def uncertainty(X: FloatArray, values: FloatArray, information: list[RecordInfor
     scale = np.where(scale > 0, scale, 1.0)
     H = np.array([i.hessian for i in information]) * np.outer(scale, scale)
     g = np.array([i.scores.sum(axis=0) for i in information]) * scale
-    J = np.array([long_run([i.scores], _lag(len(i.scores))) for i in information]) * np.outer(scale, scale)
+    J = np.array([_long_run(i.scores, _lag(len(i.scores))) for i in information]) * np.outer(scale, scale)
     inverse = np.array([_inverse(h) for h in H])
     step = np.einsum("ikl,il->ik", inverse, g)
     C = inverse @ _smoothed(H, J) @ inverse
@@ -116,6 +115,15 @@ def _smoothed(H: FloatArray, J: FloatArray) -> FloatArray:
     power = np.einsum("ikk->i", white) / k
     shape = np.mean(white / np.maximum(power, 1e-300)[:, None, None], axis=0)
     return np.asarray(power[:, None, None] * (L @ shape @ L.transpose(0, 2, 1)))
+
+
+def _long_run(scores: FloatArray, lag: int) -> FloatArray:
+    """Return the covariance of the sum of scores (Newey and West, 1987), (n_blocks, k)."""
+    total = scores.T @ scores
+    for shift in range(1, min(lag, len(scores) - 1) + 1):
+        product = scores[shift:].T @ scores[:-shift]
+        total += (1 - shift / (lag + 1)) * (product + product.T)
+    return np.asarray(total)
 
 
 def _lag(n_blocks: int) -> int:

@@ -1,0 +1,164 @@
+"""Sensitivities of the predictions, sample by sample, by parameters and initial states."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.identify.kernel.block_sums import Prediction
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.sweep import Linked
+from gbid.identify.predictor import PredictorValues
+
+_AT_ONCE = 64  # blocks whose recursion runs together
+
+
+class RecordSensitivities(NamedTuple):
+    """Errors of a record, and the sensitivities of its predictions.
+
+    Attributes
+    ----------
+    columns : (n_columns,) integer array
+        Unknowns on which the record depends, among all parameters and, after them, the initial states of all records.
+    psi : (n_y, n_columns, n_samples) array
+        Derivatives of the predictions; zero for samples that are left out.
+    errors : (n_samples, n_y) array
+        Prediction errors; zero for samples that are left out.
+    counted : (n_samples,) boolean array
+        Whether a sample is in the cost.
+    feedback : (PredictorValues, (n_p,) integer array) or None
+        Predictor that feeds measured outputs back, and its parameters among `columns`; None without feedback.
+    """
+
+    columns: IntArray
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+    feedback: tuple[PredictorValues, IntArray] | None = None
+
+
+class SegmentSensitivities(NamedTuple):
+    """The same for one segment, by the parameters of its predictor and, after them, the state at its start."""
+
+    psi: FloatArray
+    errors: FloatArray
+    counted: BoolArray
+
+
+def of_segment(
+    v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, segment: int
+) -> SegmentSensitivities:
+    """Return the sensitivities of one segment of a part.
+
+    Parameters
+    ----------
+    v : PredictorValues
+        Predictor of the part.
+    blocks : Blocks
+        The segments of the part, each as one window.
+    prediction : Prediction
+        States and errors from the starts of the blocks.
+    linked : Linked
+        Sensitivities of the starts of the blocks.
+    segment : int
+        Position of the segment.
+
+    Returns
+    -------
+    SegmentSensitivities
+        Sensitivities, errors, and which samples count.
+
+    Notes
+    -----
+    The recursion is that of `gbid.identify.kernel.sweep`, for all blocks of the segment together.
+    """
+    first = int(blocks.window_first[segment])
+    stop = first + int(blocks.window_size[segment])
+    n_y, m = len(v.C), len(v.dF) + len(v.F)
+    psi = np.empty((n_y * m, stop - first, blocks.length))
+    for begin in range(first, stop, _AT_ONCE):
+        own = slice(begin, min(begin + _AT_ONCE, stop))
+        psi[:, begin - first : own.stop - first] = _of_blocks(v, blocks, prediction, linked, own)
+    n_samples = int(blocks.size[first:stop].sum())
+    return SegmentSensitivities(
+        psi.reshape(n_y, m, -1)[:, :, :n_samples],
+        blocks.by_segment(prediction.errors)[segment],
+        blocks.by_segment(blocks.used[:, :, None])[segment][:, 0] > 0,
+    )
+
+
+def _of_blocks(v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice) -> FloatArray:
+    """Return the sensitivities of some blocks, (n_y * m, n_blocks, length); few at once stay in the cache."""
+
+    def taken(values: FloatArray) -> FloatArray:
+        """Return these blocks, (length, n, n_blocks), of values in groups."""
+        groups = slice(own.start // blocks.lanes, -(-own.stop // blocks.lanes))
+        rows = values[groups].transpose(1, 2, 0, 3).reshape(blocks.length, values.shape[2], -1)
+        skipped = groups.start * blocks.lanes
+        return rows[:, :, own.start - skipped : own.stop - skipped]
+
+    n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
+    m = n_p + n
+    driving = np.concatenate([taken(prediction.states), taken(blocks.z(v.shift))], axis=1)
+    onto_state, onto_output = np.zeros((n, m, driving.shape[1])), np.zeros((n_y, m, driving.shape[1]))
+    onto_state[:, :n_p] = np.concatenate([v.dF, v.dG], axis=2).transpose(1, 0, 2)
+    onto_output[:, :n_p] = np.concatenate([v.dC, v.dH], axis=2).transpose(1, 0, 2)
+    history = np.empty((length + 1, n, m, own.stop - own.start))
+    history[0, :, :n_p] = linked.by_theta[own].transpose(1, 2, 0)
+    history[0, :, n_p:] = linked.by_start[own].transpose(1, 2, 0)
+    np.matmul(onto_state.reshape(n * m, -1), driving, out=history[1:].reshape(length, n * m, -1))
+    flat = history.reshape(length + 1, n, -1)
+    for k in range(length):
+        flat[k + 1] += v.F @ flat[k]
+    psi = (v.C @ flat[:-1]).reshape(length, n_y * m, -1)
+    if onto_output.any():
+        psi += onto_output.reshape(n_y * m, -1) @ driving
+    psi *= taken(blocks.used[:, :, None])
+    return psi.transpose(1, 2, 0)
+
+
+def joined_segments(
+    segments: list[tuple[SegmentSensitivities, IntArray, FloatArray]],
+    feedback: tuple[PredictorValues, IntArray] | None,
+) -> RecordSensitivities:
+    """Return the sensitivities of a record from those of its segments, in the order of time.
+
+    Parameters
+    ----------
+    segments : list of (SegmentSensitivities, (n_p,) integer array, (n, n_all) array)
+        Each segment with the positions of its parameters, and the sensitivity of its start by all unknowns.
+    feedback : (PredictorValues, (n_p,) integer array), optional
+        Predictor with feedback of measured outputs, and the positions of its parameters.
+
+    Returns
+    -------
+    RecordSensitivities
+        Sensitivities by the unknowns that matter.
+    """
+    if len(segments) == 1:  # its start is the initial state itself
+        own, index, start = segments[0]
+        columns = np.concatenate([index, np.flatnonzero(start.any(axis=0))])
+        among = None if feedback is None else (feedback[0], np.arange(len(index)))
+        return RecordSensitivities(columns, own.psi, own.errors, own.counted, among)
+    n_all = segments[0][2].shape[1]
+    touched = np.zeros(n_all, bool)
+    for _, index, start in segments:
+        touched[index] = True
+        touched |= start.any(axis=0)
+    columns = np.flatnonzero(touched)
+    place = np.cumsum(touched) - 1
+    stretches = []
+    for own, index, start in segments:
+        n_p = len(index)
+        psi = start[:, columns].T @ own.psi[:, n_p:]
+        psi[:, place[index]] += own.psi[:, :n_p]
+        stretches.append(psi)
+    return RecordSensitivities(
+        columns,
+        np.concatenate(stretches, axis=2),
+        np.concatenate([own.errors for own, _, _ in segments]),
+        np.concatenate([own.counted for own, _, _ in segments]),
+        None if feedback is None else (feedback[0], place[feedback[1]]),
+    )

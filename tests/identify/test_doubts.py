@@ -1,0 +1,63 @@
+"""Parameters that the data hardly determine are named, and stated as uncertain as they are."""
+
+import numpy as np
+from scipy.signal import lfilter
+
+from gbid.identify import fit
+from gbid.identify.uncertainty.covariance import Covariance
+from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined
+from gbid.recording import Recording
+from gbid.structure import LinearStructure, Parameter, evaluate
+
+H = 0.02
+COMPANION = LinearStructure(
+    "companion",
+    [Parameter(name) for name in ("a0", "a1", "b0", "b1")],
+    lambda p: {"A": [[0, 1], [p.a0, p.a1]], "B": [[p.b0], [p.b1]], "C": [[1, 0]]},
+    inputs="u",
+    outputs="y",
+)
+START = {"a0": -1000.0, "a1": -500.0, "b0": 2.0, "b1": 0.0}
+
+
+def lag_in_coloured_noise():
+    """A first-order lag of 2 rad/s: all else of a model of second order is open."""
+    n = 2000
+    u = np.repeat(np.random.default_rng(3).choice([-1.0, 1.0], n // 8), 8)[:, None]
+    lag = LinearStructure("lag", [Parameter("a", 2.0)], lambda p: {"A": [[-p.a]], "B": [[p.a]], "C": [[1]]})
+    e = 0.2 * lfilter([1.0], [1.0, -0.3], np.random.default_rng(103).normal(size=n))
+    return Recording({"u": u, "y": evaluate(lag, {"a": 2.0}).simulate(u, H) + e[:, None]}, H)
+
+
+def test_a_companion_matrix_of_a_lag_is_not_said_to_be_known():
+    result = fit(COMPANION, lag_in_coloured_noise(), start=START)
+    assert result.trusted == "robust"
+    white, robust = result.std_with("white"), result.std_with("robust")
+    assert white["a0"] > abs(result.parameters["a0"])
+    (note,) = [note for note in result.notes if "the data leave even the sign of" in note]
+    assert "a0" in note
+    below = any("far below those for white errors" in note for note in result.notes)
+    assert below == any(robust[name] < white[name] / 3 for name in result.free)
+
+
+def test_open_signs_are_named_by_direction():
+    names = np.array(["k", "d", "m", "zero"])
+    values = np.array([3.0, 2.0, 5.0, 0.0])
+    assert hardly_determined(values, np.diag([1.0, 1.0, 1.0, 4.0]), names) == []
+    (alone,) = hardly_determined(values, np.diag([1.0, 36.0, 1.0, 4.0]), names)
+    assert "sign of d open" in alone
+    assert "3 times" in alone
+    along = np.array([30.0, -40.0, 0.0, 0.0])
+    (together,) = hardly_determined(values, np.outer(along, along) + np.eye(4), names)
+    assert "k, d" in together
+    assert "up to 20 times" in together
+    assert "m" not in together.split(":")[0].split("of")[1]
+
+
+def test_a_robust_std_far_below_the_white_one_is_said():
+    white = np.diag([1.0, 4.0])
+    none = np.zeros((0, 2))
+    names = np.array(["k", "d"])
+    assert far_below_white(Covariance(white, 0.25 * white, 1.0, none, 10.0), names) == []
+    (note,) = far_below_white(Covariance(white, np.diag([0.9, 0.01]), 1.0, none, 10.0), names)
+    assert "0.05 of them): d;" in note
