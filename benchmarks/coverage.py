@@ -116,13 +116,13 @@ def missed(run: dict[str, Any]) -> list[str]:
     for row in run["rows"]:
         for n, numbers in row["cells"].items():
             if row["target"] and not TARGET[0] <= numbers["coverage"] <= TARGET[1]:
-                found.append(f"{row['oscillator']}, {row['errors']}, N = {n}: {100 * numbers['coverage']:.0f} %")
+                found.append(f"{row['oscillator']}, {row['errors']}, N = {n}: {100 * numbers['coverage']:.1f} %")
     return found
 
 
 def _shown(found: Coverage, target: bool) -> str:
     inside = TARGET[0] <= found.coverage <= TARGET[1]
-    text = f"{100 * found.coverage:.0f}"
+    text = f"{100 * found.coverage:.1f}"
     text = f"**{text}**" if target and not inside else text
     left_out = f", {found.failed} failed" if found.failed else ""
     return f"{text} ({100 * found.coverage_white:.0f}){left_out}"
