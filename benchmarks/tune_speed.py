@@ -1,4 +1,4 @@
-"""Time the tuner against brute force in one run; print a table, store the numbers.
+"""Time the tuner against brute force and general optimisers in one run; print a table, store the numbers.
 
 ``python -m benchmarks.tune_speed [--quick] [--polish N] [--output FILE]``
 """
@@ -16,6 +16,7 @@ from typing import Any
 import gbid
 from benchmarks.fit_speed import processor
 from benchmarks.tune_brute import Loops, brute_force
+from benchmarks.tune_others import compare, others_table
 from gbid.threads import one_blas_thread
 
 _ONE = [(6.0, 0.0)]
@@ -77,13 +78,14 @@ def measure(quick: bool, polish: int) -> dict[str, Any]:
         "polished": polish,
         "proportional": brute,
         "biquad": biquad,
+        "others": compare(quick),
     }
 
 
 def tune_table(run: dict[str, Any]) -> str:
     """All numbers as Markdown."""
     where = f"{run['processor']}, {run['date']}, gbid {run['gbid']}."
-    return "\n\n".join([proportional_table(run), biquad_table(run), where])
+    return "\n\n".join([proportional_table(run), biquad_table(run), others_table(run["others"]), where])
 
 
 def proportional_table(run: dict[str, Any]) -> str:

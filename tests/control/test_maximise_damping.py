@@ -13,7 +13,7 @@ import gbid
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import families_of, loop_equations
 from gbid.control.tuning.search.nonsmooth.active import merit
-from gbid.control.tuning.search.nonsmooth.cluster import cluster_of
+from gbid.control.tuning.search.nonsmooth.cluster import InvariantSubspaces
 from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.spectrum import Eigensystem
@@ -155,6 +155,13 @@ def test_wrong_arguments(arguments: tuple[object, ...], message: str) -> None:
         gbid.maximise_damping(*arguments)
 
 
+@pytest.mark.parametrize("name", ["seed", "starts", "evaluations"])
+def test_counts_are_whole_numbers(name: str) -> None:
+    for value in (-1, 1.5, True):
+        with pytest.raises(gbid.errors.UsageError, match=name):
+            gbid.maximise_damping(delayed_loop(1, 1), ["g"], 0, 1, **{name: value})
+
+
 def test_progress_and_history_agree() -> None:
     seen: list[object] = []
     result = gbid.maximise_damping(delayed_loop(1.0, 0.5), ["g"], 0, 8, "decay", progress=seen.append)
@@ -200,7 +207,7 @@ def test_meeting_eigenvalues_have_smooth_mean_and_gap() -> None:
     A = T @ ca.diagcat(ca.blockcat([[0, 1], [-1 - g[0], -2]]), -5 + g[1]) @ np.linalg.inv(T)
     family = families_of([ca.Function("A", [g], [A])], 2)[0]
     derivatives = family.derivatives(np.array([1e-9, 0.0]))  # eigenvalues 3e-5 apart from their mean
-    pair = cluster_of(derivatives.A[0], derivatives.dA[0], -1 + 0j, 2, 1.0)
+    pair = InvariantSubspaces(derivatives.A[0], derivatives.dA[0]).cluster(-1 + 0j, 2, 1.0)
     assert pair is not None
     assert pair.real
     assert pair.mean == pytest.approx(-1.0, abs=1e-9)
@@ -222,7 +229,7 @@ def test_power_sums_of_a_cluster_against_differences(centre: complex, size: int)
 
     def cluster(x: np.ndarray) -> Any:
         loops = family.derivatives(x)
-        return cluster_of(loops.A[0], loops.dA[0], centre, size, 1.0)
+        return InvariantSubspaces(loops.A[0], loops.dA[0]).cluster(centre, size, 1.0)
 
     x, step = np.array([0.02, 0.03, 0.05]), 1e-5
     here = cluster(x)

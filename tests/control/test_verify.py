@@ -10,12 +10,13 @@ import pytest
 from gain_problems import damping_problem, oscillator, responding
 from scipy.optimize import brentq
 
-from gbid.control.tuning.maximise import add_cuts, solve, summarise
+from gbid.control.tuning.maximise import summarise
 from gbid.control.tuning.search.global_search import Effort
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import LoopFamily, families_of
 from gbid.control.tuning.search.peaks import Peaks, respond
 from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.solving import add_cuts, solve
 from gbid.control.tuning.verify import Edge, distance_to_edge, exact_norms, static_gains, worst_mode
 
 NOTHING = np.zeros(1)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -16,24 +15,17 @@ from gbid.control.tuning.search.global_search import (
     FEASIBLE,
     Effort,
     Progress,
-    SearchOutcome,
-    better,
-    certificate_units,
-    search,
 )
 from gbid.control.tuning.search.limits import Limits, Objective
 from gbid.control.tuning.search.loop_family import families_of
-from gbid.control.tuning.search.nonsmooth.certificate import Certificate, certify
+from gbid.control.tuning.search.nonsmooth.certificate import Certificate
 from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.search.spectrum import eigenvalues
-from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
-from gbid.control.tuning.search.starts.units import gain_units
+from gbid.control.tuning.search.sqp import LocalOptimum
+from gbid.control.tuning.search.starts.neutral import typical_rate, usable_start
 from gbid.control.tuning.search.step import SearchStep
+from gbid.control.tuning.solving import solve
 from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
-
-_MOST_ROUNDS = 5
-"""Largest number of certificates, each after a better design that the one before had found."""
 
 
 def maximise_damping(
@@ -44,9 +36,13 @@ def maximise_damping(
     objective: Objective = "damping",
     *,
     slowest_pole: float = 0.0,
+    peak_sensitivity: float | None = None,
+    peak_control: float | None = None,
+    static_amplification: float | None = None,
     start: npt.ArrayLike | None = None,
     starts: int | None = None,
     seed: int = 0,
+    evaluations: int | None = None,
     progress: Progress | None = None,
 ) -> GainResult:
     r"""Return the gains that maximise the smallest damping factor, or the slowest decay, over all given loops.
@@ -59,7 +55,9 @@ def maximise_damping(
     Parameters
     ----------
     A_of_gains : casadi.Function or sequence of these
-        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s].
+        From the vector of gains (d, 1) to the closed-loop matrix (n, n) in continuous time [1/s]. For limits on
+        frequency responses: to A, B, C, D from disturbances d of the q measured outputs to these outputs with their
+        disturbances, ``S_o d``, and below to the control signals, ``K S_o d``.
     gains : sequence of str
         Names of the d gains.
     lower, upper : float or (d,) array
@@ -68,13 +66,17 @@ def maximise_damping(
         Quantity that is maximised.
     slowest_pole : float
         Smallest allowed decay rate of all eigenvalues [1/s]; 0 requires stability only.
+    peak_sensitivity, peak_control, static_amplification : float, optional
+        Limits on the peaks of S_o and K S_o over frequency, and on the gain of S_o at zero frequency.
     start : (d,) array, optional
         Gains as an additional start value. The zero vector (moved into the bounds) is always a start value.
     starts : int, optional
-        Number of random starts of the global stage. By default a grid for up to three gains, 24 starts for up to
-        twelve, else 12.
+        Number of random starts of the global stage. By default a grid for up to three gains; for more gains 24 for up
+        to twelve, else 12, but 8 with limits on frequency responses.
     seed : int
         Seed of the random starts.
+    evaluations : int, optional
+        Number of designs after which the search ends, about; the status is then ``"iteration limit"``.
     progress : callable, optional
         Called with a `SearchStep` after each stage.
 
@@ -87,13 +89,16 @@ def maximise_damping(
     Raises
     ------
     UsageError
-        When a function does not take the gains or does not return a square matrix, or when bounds do not fit.
+        When a function does not take the gains or does not return fitting matrices, when bounds or limits do not fit,
+        or when no gains within the bounds were found for which all matrices are finite.
 
     Notes
     -----
-    A global stage finds regions of attraction of local optima. In each of them local optimisation takes steps that use
-    all eigenvalues near the worst one (see `gbid.control.tuning.search.sqp`). A pair of eigenvalues that meet is
-    represented by its mean and squared distance, because these have derivatives there and the eigenvalues have not.
+    A global stage finds regions of attraction of local optima, from starts that are first made stable. In each of them
+    BFGS climbs along ridges, and local optimisation takes steps that use all eigenvalues near the worst one (see
+    `gbid.control.tuning.search.sqp`). Eigenvalues that meet are represented by their mean and by power sums of their
+    distances, because these have derivatives there and the eigenvalues have not. The result is ``"optimal"`` only when
+    a convex combination of gradients certifies it, otherwise ``"stalled"``.
 
     Examples
     --------
@@ -111,14 +116,27 @@ def maximise_damping(
     if not functions or not names:
         raise UsageError("maximise_damping: give at least one function and one gain")
     low, high = as_bounds(lower, upper, names)
+    _check_counts(seed=seed, starts=starts, evaluations=evaluations)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
-    limits = Limits(objective, slowest_pole)
+    limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
+    if limits.has_responses and not all(family.n_outputs for family in families):
+        raise UsageError("limits on frequency responses need functions from the gains to A, B, C and D of every loop")
+    given = [] if start is None else [np.clip(as_start(start, names), low, high)]
+    neutral = usable_start(families, [neutral, *given], low, high, int(seed))
     problem = GainProblem(families, limits, low, high, typical_rate(families, neutral))
-    given = [] if start is None else [as_start(start, names)]
+    problem.most_evaluations = evaluations
     optimum, history = solve(problem, neutral, Effort(starts, seed), given, progress)
     count = sum(len(family) for family in families)
-    return summarise(problem, optimum, names, history, f"eigenvalues of the {count} closed-loop matrices")
+    norms = " and exact H-infinity norms" if limits.has_responses else ""
+    return summarise(problem, optimum, names, history, f"eigenvalues{norms} of the {count} closed-loop matrices")
+
+
+def _check_counts(seed: int, starts: int | None, evaluations: int | None) -> None:
+    for name, value, least in (("seed", seed, 0), ("starts", starts, 0), ("evaluations", evaluations, 1)):
+        wrong = isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least
+        if wrong and (value is not None or name == "seed"):
+            raise UsageError(f"{name} = {value!r}; give an integer of at least {least}")
 
 
 def _listed(functions: Any) -> list[Any]:
@@ -128,68 +146,6 @@ def _listed(functions: Any) -> list[Any]:
             f"A_of_gains is a {kind}; give a casadi.Function from the gains to the matrix, or a list of these"
         )
     return list(functions)
-
-
-def solve(
-    problem: GainProblem,
-    neutral: FloatArray,
-    effort: Effort,
-    first: Iterable[FloatArray] = (),
-    progress: Progress | None = None,
-    found: LocalOptimum | None = None,
-) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
-    """Return the optimum and the history of a search, or of a local optimisation from a known design.
-
-    Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
-    """
-    if found is None:
-        result = search(problem, neutral, effort, first, progress)
-    else:
-        result = SearchOutcome(optimise_locally(problem, found.x, max_iterations=300, radius=0.02), ())
-    best, history = result.best, list(result.history)
-    for _ in range(10):
-        if not add_cuts(problem, best.x):
-            break
-        best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
-        history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
-        if progress is not None:
-            progress(history[-1])
-    best = certified(problem, best)
-    history.append(
-        SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
-    )
-    if progress is not None:
-        progress(history[-1])
-    return best, tuple(history)
-
-
-def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
-    """Return a design with its certificate; where the certificate finds a better one near it, that one."""
-    unit = gain_units(problem, found.x)
-    for _ in range(_MOST_ROUNDS):
-        certificate, x = certify(problem, found.x, certificate_units(unit, found.x))
-        if certificate.holds or x is found.x:
-            break
-        moved = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
-        if not better(moved.score, found.score) or add_cuts(problem, moved.x):
-            break
-        found = moved
-    return replace(found, certificate=certificate)
-
-
-def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
-    """Add frequencies at which exact norms exceed a limit between the grid points; return whether there were any."""
-    known = problem.score(x).violation
-    added = False
-    for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
-        if limit is None or not problem.stable(x):
-            continue
-        for f, family in enumerate(problem.families):
-            for i, norm in enumerate(exact_norms(family, x, kind)):
-                if np.log(norm.value / limit) > max(known, 0.0) + 1e-7 and np.isfinite(norm.frequency):
-                    problem.cuts.append((kind, f, i, norm.frequency))
-                    added = True
-    return added
 
 
 def summarise(
@@ -207,7 +163,7 @@ def summarise(
     worst = worst_mode(problem, x)
     certificate = found.certificate
     status = GainStatus.OPTIMAL if certificate is not None and certificate.holds else GainStatus.STALLED
-    if not found.converged:
+    if not found.converged or (problem.exhausted and status is GainStatus.STALLED):
         status = GainStatus.ITERATION_LIMIT
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
@@ -291,15 +247,6 @@ _TITLES = {
     "control": "peak of K S_o",
     "static": "static amplification",
 }
-
-
-def typical_rate(families: Sequence[Any], x: FloatArray) -> float:
-    """Return the geometric mean of the magnitudes of the eigenvalues, which is the unit of rates."""
-    sizes = np.concatenate([np.abs(eigenvalues(family.states(x))).ravel() for family in families])
-    if not np.isfinite(sizes).all():
-        raise UsageError("the closed-loop matrix is not finite at the start; check the function and its bounds")
-    sizes = sizes[sizes > 1e-9 * sizes.max()] if sizes.any() else np.ones(1)
-    return float(np.exp(np.log(sizes).mean()))
 
 
 def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:

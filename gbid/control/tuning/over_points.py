@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.maximise import solve
 from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.search.step import SearchStep
+from gbid.control.tuning.solving import solve
 
 _FEW, _MANY = 5, 30
 """Largest number of loops without a working set: with many gains, and with up to three."""

@@ -17,7 +17,7 @@ from gbid.control.tuning.design_notes import goal_figures, notes_of
 from gbid.control.tuning.gain_result import GainResult
 from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
 from gbid.control.tuning.goals.short_form import ShortForm
-from gbid.control.tuning.maximise import as_bounds, as_start, summarise, typical_rate
+from gbid.control.tuning.maximise import as_bounds, as_start, summarise
 from gbid.control.tuning.over_points import solve_over_points
 from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
 from gbid.control.tuning.plants.plants_of import DesignPlants, PlantLike, Point, plants_of
@@ -29,6 +29,7 @@ from gbid.control.tuning.search.loop_delay import loop_delay
 from gbid.control.tuning.search.loop_family import loop_equations
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
+from gbid.control.tuning.search.starts.neutral import typical_rate
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.worst_points import add_worst_points
 from gbid.errors import UsageError

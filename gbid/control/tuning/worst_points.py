@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.maximise import solve
 from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.search.step import SearchStep
+from gbid.control.tuning.solving import solve
 from gbid.lpv import Domain
 
 TOLERANCE = 5e-5

@@ -24,8 +24,12 @@ _GRID = {1: 61, 2: 25, 3: 9}
 _HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
 _FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
 """Sizes of random moves without limits on responses, in units or shares of the gains."""
-_HOPPED = 3
+_HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
+_FINALISTS = 3
+"""Largest number of finalists where more than eigenvalues counts: their rough optimisation already is nearly full."""
+_PROGRESS = 3e-4
+"""Relative gain of a random move below which it counts as in vain."""
 _AGREE = 1e-5
 """Relative difference of local optima that count as one."""
 FEASIBLE = 1e-6
@@ -39,7 +43,8 @@ class Effort:
     Parameters
     ----------
     starts : int, optional
-        Number of random starts. By default a grid for up to three gains, 24 starts for up to twelve, else 12.
+        Number of random starts. By default a grid for up to three gains; for more gains 24 for up to twelve, else
+        12, but 8 where more than eigenvalues counts.
     seed : int
         Seed of the random starts.
     finalists : int
@@ -116,17 +121,19 @@ def search(
         ]
         note("global", _best(rough).score)
     else:
-        n = effort.starts if effort.starts is not None else (24 if d <= 12 else 12)
+        n = effort.starts if effort.starts is not None else climber.starts
         rough = []
         for start in (*given, *random_starts(problem, given[0], climber.unit, n, effort.seed)):
             rough.append(climber.rough(start))
             note("global", _best(rough).score)
+            if problem.exhausted:
+                break
     rough.sort(key=lambda found: merit(found.score, PENALTY), reverse=True)
     finals: list[LocalOptimum] = []
-    for start in rough[: effort.finalists]:
+    for start in rough[: effort.finalists if climber.free or d in _GRID else min(effort.finalists, _FINALISTS)]:
         if any(np.allclose(start.x, other.x, rtol=0, atol=1e-6) for other in finals):
             continue
-        finals.append(climber.full(start.x))
+        finals.append(start if problem.exhausted else climber.full(start.x))
         note("local", _best(finals).score)
     best = _best(finals)
     if d not in _GRID and effort.hops and not _settled(problem, climber, finals):
@@ -135,7 +142,7 @@ def search(
         for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]:
             hopped.append(_hop_basins(climber, start, rng, effort.hops, len(climber.hop_sizes), note))
         best = _hop_basins(climber, _best(hopped), rng, effort.hops, 2 * len(climber.hop_sizes), note)
-    if not best.converged:
+    if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
     return SearchOutcome(best, tuple(history))
@@ -159,6 +166,13 @@ class Climber:
         return not (limits.has_responses or limits.measures or self.problem.linear)
 
     @property
+    def starts(self) -> int:
+        """Number of random starts."""
+        if not self.free:
+            return 8
+        return 24 if len(self.unit) <= 12 else 12
+
+    @property
     def hop_sizes(self) -> tuple[float, ...]:
         """Sizes of random moves."""
         return _FREE_HOPS if self.free else _HOP_SIZES
@@ -167,8 +181,7 @@ class Climber:
         """Return a design near a start that is better, with few evaluations."""
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
-        curvature = len(start) <= 3
-        return optimise_locally(self.problem, start, max_iterations=40, curvature=curvature, tolerance=1e-5)
+        return optimise_locally(self.problem, start, max_iterations=100, tolerance=1e-5)
 
     def full(self, start: FloatArray) -> LocalOptimum:
         """Return a local optimum."""
@@ -181,9 +194,13 @@ class Climber:
         step = size * rng.standard_normal(len(x))
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
-            return optimise_locally(self.problem, moved, max_iterations=120, radius=0.02)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02)
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
+
+    @property
+    def _left(self) -> int:
+        return max((self.problem.most_evaluations or 0) - self.problem.evaluations, 1)
 
     def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
         problem = self.problem
@@ -194,7 +211,7 @@ class Climber:
             problem.lower,
             problem.upper,
             self.unit,
-            max_evaluations=most,
+            max_evaluations=most if problem.most_evaluations is None else min(most, self._left),
         )
         return LocalOptimum(found.x, problem.score(found.x), found.evaluations, True)
 
@@ -226,11 +243,14 @@ def _hop_basins(
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement."""
     vain = 0
     for i in range(most):
-        if vain == in_vain:
+        if vain == in_vain or climber.problem.exhausted:
             break
         again = climber.hop(best.x, climber.hop_sizes[i % len(climber.hop_sizes)], rng)
-        vain = 0 if better(again.score, best.score) else vain + 1
-        best = best if vain else again
+        progress = again.score.value - best.score.value > _PROGRESS * abs(best.score.value)
+        repaired = again.score.violation <= FEASIBLE < best.score.violation
+        improved = better(again.score, best.score)
+        vain = 0 if improved and (progress or repaired) else vain + 1
+        best = again if improved else best
         note("basin hopping", best.score)
     return best
 

@@ -111,14 +111,15 @@ class LoopFamily:
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:
-    """Return families of given functions from gains to A: one family for each size of A.
+    """Return families of given functions from gains to A, or to A, B, C, D: one family for loops of equal sizes.
 
     Raises
     ------
     UsageError
-        When a function does not have one input of n_gains numbers and a square matrix as its first output.
+        When a function does not have one input of n_gains numbers and a square matrix as its first output, or when its
+        B, C, D do not fit.
     """
-    by_size: dict[int, list[tuple[str, ca.Function]]] = {}
+    by_size: dict[tuple[int, ...], list[tuple[str, ca.Function]]] = {}
     for i, function in enumerate(functions):
         if not isinstance(function, ca.Function):
             raise UsageError(f"A_of_gains[{i}] is not a casadi.Function")
@@ -128,22 +129,38 @@ def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFam
                 f"A_of_gains[{i}] ({function.name()}): {function.n_in()} inputs of {function.size_in(0)} to "
                 f"{(n, columns)}; it must take one vector of {n_gains} gains and give a square matrix"
             )
-        by_size.setdefault(n, []).append((f"A[{i}]", function))
-    return tuple(_family_of_functions(group, n, n_gains) for n, group in by_size.items())
+        by_size.setdefault((n, *_outputs(function, i, n)), []).append((f"A[{i}]", function))
+    return tuple(_family_of_functions(group, n_gains, *sizes[1:]) for sizes, group in by_size.items())
 
 
-def _family_of_functions(group: list[tuple[str, ca.Function]], n: int, n_gains: int) -> LoopFamily:
+def _outputs(function: ca.Function, i: int, n: int) -> tuple[int, int]:
+    """Return the numbers of disturbances and outputs of a function to A, B, C, D; zero of a function to A alone."""
+    if function.n_out() == 1:
+        return 0, 0
+    sizes = [function.size_out(j) for j in range(function.n_out())]
+    n_d, n_y = sizes[1][1], sizes[2][0] if len(sizes) == 4 else 0
+    if len(sizes) != 4 or sizes[1:] != [(n, n_d), (n_y, n), (n_y, n_d)] or not 0 < n_d <= n_y:
+        raise UsageError(
+            f"A_of_gains[{i}] ({function.name()}): outputs of {', '.join(map(str, sizes))}; it must give A, or A, B, "
+            "C, D from d disturbances to at least d outputs: first S_o, then the control signals"
+        )
+    return n_d, n_y
+
+
+def _family_of_functions(group: list[tuple[str, ca.Function]], n_gains: int, n_d: int, n_y: int) -> LoopFamily:
     kind: Any = ca.SX if all(function.is_a("SXFunction") for _, function in group) else ca.MX
     g = kind.sym("gains", n_gains)
-    A = [ca.densify(function(ca.reshape(g, *function.size_in(0)))) for _, function in group]
-    m = len(A)
-    none = [kind(n, 0), kind(0, n * m), kind(0, 0)]
-    slopes = ca.horzcat(*(ca.densify(ca.jacobian(ca.vec(M), g)) for M in A))
-    nothing = kind(0, n_gains * m)
+    n, every = group[0][1].size_out(0)[0], []
+    for _, function in group:
+        found = function(ca.reshape(g, *function.size_in(0)))
+        matrices = list(found) if isinstance(found, tuple | list) else [found, kind(n, 0), kind(0, n), kind(0, 0)]
+        every.append([ca.densify(M) for M in matrices])
+    slopes = [[ca.densify(ca.jacobian(ca.vec(M), g)) for M in matrices] for matrices in every]
     return LoopFamily(
-        ca.Function("matrices", [g], [ca.horzcat(*A), *none]),
-        ca.Function("slopes", [g], [slopes, nothing, nothing, nothing]),
+        ca.Function("matrices", [g], [ca.horzcat(*column) for column in zip(*every, strict=True)]),
+        ca.Function("slopes", [g], [ca.horzcat(*column) for column in zip(*slopes, strict=True)]),
         tuple(label for label, _ in group),
+        n_outputs=n_d if n_y else 0,
     )
 
 

@@ -19,7 +19,8 @@ from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.search.measure import LoopState
 from gbid.control.tuning.search.nonsmooth.active import UNUSABLE, ActiveFunction, ActiveFunctions, Score, merit
-from gbid.control.tuning.search.nonsmooth.cluster import Cluster, cluster_of
+from gbid.control.tuning.search.nonsmooth.cluster import Cluster
+from gbid.control.tuning.search.nonsmooth.loop_subspaces import LoopSubspaces
 from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes, respond
 from gbid.control.tuning.search.plane import rate_slopes, true_rates
 from gbid.control.tuning.search.spectrum import Eigensystem, damping_factors, damping_slopes, eigenvalues
@@ -48,6 +49,10 @@ class GainProblem:
         Frequencies of peaks found by an exact norm, as (kind, family, loop, frequency).
     linear : tuple of (name, row, limit)
         Linear limits ``row x <= limit``.
+    evaluations : int
+        Number of designs evaluated so far.
+    most_evaluations : int, optional
+        Number of evaluations after which a search ends.
     """
 
     families: tuple[LoopFamily, ...]
@@ -58,6 +63,12 @@ class GainProblem:
     cuts: list[tuple[str, int, int, float]] = field(default_factory=list)
     linear: tuple[tuple[str, FloatArray, float], ...] = ()
     evaluations: int = 0
+    most_evaluations: int | None = None
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether the allowed number of evaluations is used up."""
+        return self.most_evaluations is not None and self.evaluations >= self.most_evaluations
 
     @property
     def slowest(self) -> float:
@@ -217,15 +228,9 @@ class GainProblem:
         numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
         return float(numbers[0]), gradients[0]
 
-    def cluster_near(self, x: FloatArray, family: int, loop: int, place: complex, size: int) -> Cluster | None:
-        """Return the eigenvalues of a loop nearest to a place in the complex plane, as a cluster."""
-        return self._cluster(self.families[family].derivatives(x), loop, place, size)
-
-    def _cluster(self, loops: Derivatives, loop: int, place: complex, size: int) -> Cluster | None:
-        A, dA = loops.A[loop], loops.dA[loop]
-        if np.isnan(eigenvalues(A[None])).any() or not np.isfinite(dA).all():
-            return None
-        return cluster_of(A, dA, place, size, max(abs(place), 0.01 * self.scale))
+    def subspaces(self, x: FloatArray) -> LoopSubspaces:
+        """Return the invariant subspaces of all loops at a design."""
+        return LoopSubspaces(self.families, x, 0.01 * self.scale)
 
     def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
         """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
@@ -266,12 +271,6 @@ class GainProblem:
             peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
             slopes, values = peak_slopes(loops, rows_of(self.families[f], piece.kind), peaks)
             return np.asarray(slopes / values[:, None])
-        if piece.kind == "cluster":
-            for row, loop in enumerate(which):
-                cluster = self._cluster(loops, int(loop), piece.place, piece.size)
-                if cluster is not None:
-                    nothing[row] = self.mean_of(f, cluster)[1]
-            return nothing
         if system is None or piece.kind not in ("aim", "pole"):
             return nothing
         distance = np.abs(system.values[which] - piece.place)

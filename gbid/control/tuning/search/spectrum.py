@@ -16,7 +16,7 @@ from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.tuning.search.plane import FADE, brevity
 from gbid.poles import REAL
 
-_LARGEST = 1e60
+LARGEST = 1e60
 """Entries of a matrix from which on it counts as not finite: powers of its eigenvalues would overflow."""
 _DEFECTIVE = 1e13
 """Entry of a left eigenvector, with right ones of length one, from which on a matrix counts as defective."""
@@ -41,8 +41,9 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
     both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
     # One real product for real and imaginary part is faster than a complex copy of M.
-    product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
-    return np.asarray(product[..., 0] + 1j * product[..., 1])
+    with np.errstate(invalid="ignore", over="ignore"):  # derivatives may be infinite where the matrices are finite
+        product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
+        return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
 def eigenvalues(A: FloatArray) -> ComplexArray:
@@ -62,7 +63,7 @@ def eigenvalues(A: FloatArray) -> ComplexArray:
 def _usable(A: FloatArray) -> BoolArray:
     """Return which matrices have finite entries whose squares are finite, too."""
     # a comparison with NaN is false
-    return np.asarray((np.abs(A) < _LARGEST).all(axis=(1, 2)))
+    return np.asarray((np.abs(A) < LARGEST).all(axis=(1, 2)))
 
 
 def _one_by_one(A: FloatArray) -> BoolArray:
@@ -139,8 +140,9 @@ class Eigensystem:
 def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
     """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
     magnitude = np.abs(rates)[:, None]
-    along = (rates.conj()[:, None] * slopes).real
-    found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
+    with np.errstate(invalid="ignore", over="ignore"):
+        along = (rates.conj()[:, None] * slopes).real
+        found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
     if sample_time is None:
         return np.asarray(found)
     short = brevity(rates, sample_time)[:, None]

@@ -100,7 +100,7 @@ def _climb(
     functions = problem.functions(x)
     stalled, milestone = 0, merit(functions.score, penalty)
     for iteration in range(1, max_iterations + 1):
-        if not functions.score.usable:
+        if not functions.score.usable or problem.exhausted:
             return LocalOptimum(x, functions.score, iteration, False)
         box = np.maximum(-radius * width, problem.lower - x), np.minimum(radius * width, problem.upper - x)
         # peaks are not computed for a design whose objective alone is below the present merit
@@ -250,13 +250,17 @@ def _solve(
 
 
 def _curvature(problem: GainProblem, x: FloatArray, step: _Step) -> FloatArray:
-    """Return the second derivative of the weighted functions, by differences of their gradients, made convex."""
+    """Return the second derivative of the weighted functions, by differences of their gradients, made convex.
+
+    Means of clusters are left out: they need a Schur form for every gain and change the steps little.
+    """
     width = problem.upper - problem.lower
-    if not step.weights:
+    weights = [(piece, weight) for piece, weight in step.weights if piece.kind != "cluster"]
+    if not weights:
         return np.zeros((len(x), len(x)))
     h = np.where(x + _DIFFERENCE * width > problem.upper, -_DIFFERENCE, _DIFFERENCE) * width
-    slopes = problem.slopes_at([piece for piece, _ in step.weights], [x, *(x + np.diag(h))])
-    signs = np.array([-w if piece.kind in ("aim", "cluster") else w for piece, w in step.weights])
+    slopes = problem.slopes_at([piece for piece, _ in weights], [x, *(x + np.diag(h))])
+    signs = np.array([-w if piece.kind == "aim" else w for piece, w in weights])
     # functions without a gradient at a nearby design are left out
     H = np.einsum("n,qnd->qd", signs, np.nan_to_num((slopes[1:] - slopes[0]) / h[:, None, None]))
     values, vectors = np.linalg.eigh((H + H.T) / 2)

@@ -92,7 +92,7 @@ def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Cert
     """
     best = _at_design(problem, x, unit)
     for radius in _RADII:
-        if best.holds:
+        if best.holds or problem.exhausted:
             break
         found, y = _in_ball(problem, x, unit, radius)
         if y is not x:

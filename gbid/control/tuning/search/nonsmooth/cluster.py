@@ -5,9 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import schur, solve_sylvester
+from scipy.linalg import schur
+from scipy.linalg.lapack import ztrsen, ztrsyl
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.control.tuning.search.spectrum import LARGEST
+
+_FARTHEST = 1e8
+"""Angle between a subspace and the others, as a cotangent, from which on it is not determined."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +53,8 @@ class Cluster:
         return abs(self.mean.imag) <= 1e-9 * abs(self.mean)
 
 
-def cluster_of(A: FloatArray, dA: FloatArray, centre: complex, size: int, rate: float) -> Cluster | None:
-    """Return the cluster of the eigenvalues nearest to a place in the complex plane.
-
-    They span the invariant subspace ``A Q = Q M``, taken from an ordered Schur form, which is accurate where
-    eigenvectors are not. With the left basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I``
-    those of the power sums are ``d tr N^j = j tr(N^(j-1) dN)``.
+class InvariantSubspaces:
+    """Invariant subspaces of the matrix of a loop, from one Schur form that is reordered for each of them.
 
     Parameters
     ----------
@@ -61,39 +62,62 @@ def cluster_of(A: FloatArray, dA: FloatArray, centre: complex, size: int, rate: 
         Matrix of the loop.
     dA : (d, n, n) array
         Its derivatives by the gains.
-    centre : complex
-        Place in the complex plane.
-    size : int
-        Number of eigenvalues.
-    rate : float
-        Unit of distances [rad/s].
-
-    Returns
-    -------
-    Cluster, or None when the subspace is not determined up to rounding.
     """
-    n = len(A)
-    form, basis = schur(A.astype(complex), output="complex")
-    distance = np.sort(np.abs(np.diag(form) - centre))
-    edge = np.inf if size == n else (distance[size - 1] + distance[size]) / 2
-    if size < n:
-        if distance[size] <= distance[size - 1] * (1 + 1e-9):
+
+    def __init__(self, A: FloatArray, dA: FloatArray) -> None:
+        self.dA = dA
+        self.usable = bool(np.isfinite(A).all() and np.isfinite(dA).all() and np.abs(A).max() < LARGEST)
+        if self.usable:
+            try:
+                self._form, self._basis = schur(A, output="complex", check_finite=False)
+            except np.linalg.LinAlgError:
+                self.usable = False
+
+    def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
+        """Return the cluster of the eigenvalues nearest to a place in the complex plane.
+
+        They span the invariant subspace ``A Q = Q M``, which is accurate where eigenvectors are not. With the left
+        basis ``L Q = I`` the derivative is ``dM = L dA Q``, and with ``N = M - mean I`` those of the power sums are
+        ``d tr N^j = j tr(N^(j-1) dN)``.
+
+        Parameters
+        ----------
+        centre : complex
+            Place in the complex plane.
+        size : int
+            Number of eigenvalues.
+        rate : float
+            Unit of distances [rad/s].
+
+        Returns
+        -------
+        Cluster, or None when the subspace is not determined up to rounding.
+        """
+        if not self.usable or size > len(self._form):
             return None
-        form, basis, inside = schur(
-            A.astype(complex), output="complex", sort=lambda value: bool(abs(value - centre) < edge)
-        )
-        if inside != size:
-            return None
-    M, left = form[:size, :size], basis.conj().T[:size]
-    if size < n:
-        try:
-            X = solve_sylvester(M, -form[size:, size:], form[:size, size:])
-        except np.linalg.LinAlgError:
-            return None
-        if not np.abs(X).max() < 1e8:
-            return None
-        left = left + X @ basis.conj().T[size:]
-    dM = left @ dA @ basis[:, :size]
+        form, basis, n = self._form, self._basis, len(self._form)
+        left = basis.conj().T
+        if size < n:
+            distance = np.abs(np.diag(form) - centre)
+            order = np.argsort(distance, kind="stable")
+            if distance[order[size]] <= distance[order[size - 1]] * (1 + 1e-9):
+                return None
+            chosen = np.zeros(n, np.int32)
+            chosen[order[:size]] = 1
+            form, basis, _, inside, *_, failed = ztrsen(chosen, form, basis, job=b"N")
+            if failed or inside != size:
+                return None
+            X, scale, failed = ztrsyl(form[:size, :size], form[size:, size:], form[:size, size:], isgn=-1)
+            if failed < 0 or not np.abs(X).max() < _FARTHEST * scale:
+                return None
+            left = basis.conj().T
+            left = left[:size] + (X / scale) @ left[size:]
+        return _cluster(form[:size, :size], left @ self.dA @ basis[:, :size], rate)
+
+
+def _cluster(M: ComplexArray, dM: ComplexArray, rate: float) -> Cluster:
+    """Return the cluster of all eigenvalues of an upper triangular matrix, from its derivatives."""
+    size = len(M)
     mean = complex(np.trace(M) / size)
     mean_slope = np.trace(dM, axis1=1, axis2=2) / size
     N = (M - mean * np.eye(size)) / rate
@@ -102,5 +126,5 @@ def cluster_of(A: FloatArray, dA: FloatArray, centre: complex, size: int, rate: 
     for j in range(2, size + 1):
         power = power @ N
         powers.append(np.trace(power @ N) / size)
-        slopes.append(j * np.einsum("ab,dba->d", power, dN) / size)
+        slopes.append(j * (power.T.ravel() @ dN.reshape(len(dN), -1).T) / size)
     return Cluster(size, np.diag(M).copy(), mean, mean_slope, np.array(powers), np.array(slopes))

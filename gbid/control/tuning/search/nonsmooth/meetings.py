@@ -20,6 +20,8 @@ _WINDOW = 0.1
 """Largest distance of the objective of a member from the worst one."""
 _ROUNDING = 1e-9
 """Relative error of a matrix that counts as rounding, with the conditions of balanced loops."""
+_SEEDS = 8
+"""Number of the worst functions around whose eigenvalues clusters are looked for."""
 _ALONE, _TOGETHER = 4, 3
 """Number of clusters that are tried one by one, and largest number of clusters that meet in one step."""
 
@@ -61,29 +63,33 @@ class Meeting:
 
 def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) -> list[tuple[Meeting, ...]]:
     """Return groups of clusters that may meet at a better design, one by one and several at once."""
-    found: list[Meeting] = []
-    seen: set[tuple[int, int, int, complex]] = set()
-    near = [piece for piece in functions.aim if piece.value < functions.score.value + _WINDOW]
-    for f, family in enumerate(problem.families):
-        own = [piece for piece in near if piece.family == f]
-        values = eigenvalues(family.states(x)) if own else None
-        for piece in own:
-            assert values is not None
-            spectrum = values[piece.loop]
-            for centre, size, radius in nearby(spectrum, piece.place, problem.scale, len(x) + 1):
-                key = (f, piece.loop, size, complex(np.round(centre / problem.scale, 6)))
-                if key in seen:
-                    continue
-                seen.add(key)
-                cluster = problem.cluster_near(x, f, piece.loop, centre, size)
-                if cluster is not None and not (cluster.real and problem.limits.objective == "damping"):
-                    value, slope = problem.mean_of(f, cluster)
-                    mean = ActiveFunction("cluster", f, piece.loop, value, slope, cluster.mean, size)
-                    found.append(Meeting(mean, cluster, radius))
-    found.sort(key=lambda one: one.radius / max(abs(one.mean.place), 0.01 * problem.scale))
-    groups: list[tuple[Meeting, ...]] = [(one,) for one in found[:_ALONE]]
+    places: dict[tuple[int, int, int, complex], tuple[float, complex, float]] = {}
+    near = sorted(
+        (piece for piece in functions.aim if piece.value < functions.score.value + _WINDOW),
+        key=lambda piece: piece.value,
+    )
+    spectra: dict[int, ComplexArray] = {}
+    for piece in near[:_SEEDS]:
+        f = piece.family
+        if f not in spectra:
+            spectra[f] = eigenvalues(problem.families[f].states(x))
+        for centre, size, radius in nearby(spectra[f][piece.loop], piece.place, problem.scale, len(x) + 1):
+            key = (f, piece.loop, size, complex(np.round(centre / problem.scale, 6)))
+            places[key] = radius / max(abs(centre), 0.01 * problem.scale), centre, radius
+    tightest = sorted(places, key=lambda key: places[key][0])
+    largest = sorted(tightest[_ALONE:], key=lambda key: -key[2])[:1]
+    subspaces, found = problem.subspaces(x), []
+    for key in (*tightest[: 2 * _ALONE], *largest):
+        f, loop, size, _ = key
+        _, centre, radius = places[key]
+        cluster = subspaces.cluster(f, loop, centre, size)
+        if cluster is not None and not (cluster.real and problem.limits.objective == "damping"):
+            value, slope = problem.mean_of(f, cluster)
+            mean = ActiveFunction("cluster", f, loop, value, slope, cluster.mean, size)
+            found.append((Meeting(mean, cluster, radius), key in tightest[:_ALONE] or key in largest))
+    groups: list[tuple[Meeting, ...]] = [(one,) for one, alone in found if alone]
     joint: list[Meeting] = []
-    for one in found:
+    for one, _ in found:
         if all(one.apart_from(other) for other in joint):
             joint.append(one)
             if 1 < len(joint) <= _TOGETHER:
@@ -134,8 +140,9 @@ def back_to_meeting(
     places = [mean.place for mean in means]
     smallest = np.inf
     for _ in range(8):
+        subspaces = problem.subspaces(x + move)
         clusters = [
-            problem.cluster_near(x + move, mean.family, mean.loop, place, mean.size)
+            subspaces.cluster(mean.family, mean.loop, place, mean.size)
             for mean, place in zip(means, places, strict=True)
         ]
         found = [cluster for cluster in clusters if cluster is not None]

@@ -1,0 +1,89 @@
+"""Solution of a design problem: search, peaks between the grid frequencies, certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.control.tuning.search.global_search import (
+    Effort,
+    Progress,
+    SearchOutcome,
+    better,
+    certificate_units,
+    search,
+)
+from gbid.control.tuning.search.nonsmooth.certificate import certify
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+from gbid.control.tuning.search.starts.units import gain_units
+from gbid.control.tuning.search.step import SearchStep
+from gbid.control.tuning.verify import exact_norms
+
+_MOST_ROUNDS = 3
+"""Largest number of certificates, each after a better design that the one before had found."""
+
+
+def solve(
+    problem: GainProblem,
+    neutral: FloatArray,
+    effort: Effort,
+    first: Iterable[FloatArray] = (),
+    progress: Progress | None = None,
+    found: LocalOptimum | None = None,
+) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
+    """Return the optimum and the history of a search, or of a local optimisation from a known design.
+
+    Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
+    """
+    if found is None:
+        result = search(problem, neutral, effort, first, progress)
+    else:
+        result = SearchOutcome(optimise_locally(problem, found.x, max_iterations=300, radius=0.02), ())
+    best, history = result.best, list(result.history)
+    for _ in range(10):
+        if not add_cuts(problem, best.x):
+            break
+        best = optimise_locally(problem, best.x, max_iterations=200, radius=0.02)
+        history.append(SearchStep("cut", problem.evaluations, problem.in_units(best.score.value), best.score.violation))
+        if progress is not None:
+            progress(history[-1])
+    best = certified(problem, best)
+    history.append(
+        SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
+    )
+    if progress is not None:
+        progress(history[-1])
+    return best, tuple(history)
+
+
+def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
+    """Return a design with its certificate; where the certificate finds a better one near it, that one."""
+    unit = gain_units(problem, found.x)
+    for _ in range(_MOST_ROUNDS):
+        certificate, x = certify(problem, found.x, certificate_units(unit, found.x))
+        if certificate.holds or x is found.x or problem.exhausted:
+            break
+        moved = optimise_locally(problem, x, max_iterations=60, radius=1e-3)
+        if not better(moved.score, found.score) or add_cuts(problem, moved.x):
+            break
+        found = moved
+    return replace(found, certificate=certificate)
+
+
+def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
+    """Add frequencies at which exact norms exceed a limit between the grid points; return whether there were any."""
+    known = problem.score(x).violation
+    added = False
+    for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
+        if limit is None or not problem.stable(x):
+            continue
+        for f, family in enumerate(problem.families):
+            for i, norm in enumerate(exact_norms(family, x, kind)):
+                if np.log(norm.value / limit) > max(known, 0.0) + 1e-7 and np.isfinite(norm.frequency):
+                    problem.cuts.append((kind, f, i, norm.frequency))
+                    added = True
+    return added
