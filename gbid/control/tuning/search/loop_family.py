@@ -107,7 +107,12 @@ class LoopFamily:
             )
             for J, M in zip(self._calls["slopes"](gains), values, strict=True)
         )
-        return Derivatives(*values, *slopes)
+        # an infinite derivative is as useless as NaN, which spreads without warnings
+        return Derivatives(*values, *(slope if np.isfinite(slope).all() else _only_finite(slope) for slope in slopes))
+
+
+def _only_finite(slope: FloatArray) -> FloatArray:
+    return np.where(np.isfinite(slope), slope, np.nan)
 
 
 def families_of(functions: Sequence[ca.Function], n_gains: int) -> tuple[LoopFamily, ...]:

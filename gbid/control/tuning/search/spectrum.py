@@ -41,9 +41,8 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
     """Return ``w M v`` of rows w (k, i), real matrices M (k, d, i, j) and columns v (k, j): (k, d)."""
     both = (w[:, :, None] * v[:, None, :]).reshape(len(w), w.shape[1] * v.shape[1])
     # One real product for real and imaginary part is faster than a complex copy of M.
-    with np.errstate(invalid="ignore", over="ignore"):  # derivatives may be infinite where the matrices are finite
-        product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
-        return np.asarray(product[..., 0] + 1j * product[..., 1])
+    product = M.reshape(*M.shape[:2], both.shape[1]) @ np.stack([both.real, both.imag], axis=-1)
+    return np.asarray(product[..., 0] + 1j * product[..., 1])
 
 
 def eigenvalues(A: FloatArray) -> ComplexArray:
@@ -140,9 +139,8 @@ class Eigensystem:
 def damping_slopes(rates: ComplexArray, slopes: ComplexArray, sample_time: float | None = None) -> FloatArray:
     """Return derivatives (k, d) of the damping factor from those of the eigenvalues in continuous time."""
     magnitude = np.abs(rates)[:, None]
-    with np.errstate(invalid="ignore", over="ignore"):
-        along = (rates.conj()[:, None] * slopes).real
-        found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
+    along = (rates.conj()[:, None] * slopes).real
+    found = -slopes.real / magnitude + rates.real[:, None] * along / magnitude**3
     if sample_time is None:
         return np.asarray(found)
     short = brevity(rates, sample_time)[:, None]
