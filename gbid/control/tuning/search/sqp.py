@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import lru_cache
 from typing import Any
 
 import casadi as ca
@@ -228,7 +228,7 @@ def _step(
     return _Step(y[:d] * reach, gain, weights, limit_weight, bool(y[d + 1] < 1e-7))
 
 
-@cache  # a solver that is destroyed after a failure has ended in a double free
+@lru_cache(maxsize=64)
 def _solver(n: int, m: int) -> Any:
     shapes = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
     return ca.conic("step", "daqp", shapes, {"error_on_fail": False})
