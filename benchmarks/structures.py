@@ -20,7 +20,7 @@ from gbid.control.controllers.structures import controller_structure
 
 STORED = Path(__file__).parents[1] / "docs" / "structures.json"
 CAPS = (1.5, 2.0, 2.6)
-STARTS = 4
+STARTS = 3
 """Random starts of the design under the lowest cap; the others start from the design before."""
 KINDS = ("P", "PI", "lead-lag", "PPF", "PD", "full P", "notch", "PID", "observer", "full PD", "biquad", "filter")
 
