@@ -14,12 +14,12 @@ from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.tuning.gain_result import GainResult
 from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
-from gbid.control.tuning.maximise import typical_rate
 from gbid.control.tuning.plants.plants_of import plants_of
 from gbid.control.tuning.plants.sampled_loops import Sampling
 from gbid.control.tuning.plants.uncertainty import Uncertainty
 from gbid.control.tuning.robust.plant_draws import HOLDS, PlantDraws, lower_bound, on_draws
 from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.starts.neutral import typical_rate
 from gbid.control.tuning.tune import tune
 from gbid.errors import UsageError
 from gbid.lpv import LPVFit, LPVModel
