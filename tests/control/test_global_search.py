@@ -54,12 +54,12 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb(seed: int) -> None:
     """A hill of four gains with ripples along the first, 0.06 of 2 apart: the top is 0.6, at zero."""
 
     def rippled(g: Any) -> Any:
-        return 0.6 - 0.3 * ca.sumsqr(g) + 0.05 * (ca.cos(2 * np.pi * g[0] / 0.06) - 1)
+        return 0.6 - 0.3 * ca.sumsqr(g) + 0.02 * (ca.cos(2 * np.pi * g[0] / 0.06) - 1)
 
     problem, neutral = damping_problem(rippled, [-1.0] * 4, [1.0] * 4), np.array([0.31, 0.4, -0.3, 0.2])
     problem.linear = NEVER_ACTIVE
     held = search(problem, neutral, Effort(starts=0, hops=0, seed=seed))
-    assert held.best.score.value < 0.598
+    assert held.best.score.value < 0.598  # the tops of the ripples beside the highest: 0.5989, 0.5957
     assert {step.stage for step in held.history} == {"global", "local"}
     found = search(problem, neutral, Effort(starts=0, seed=seed))
     assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
@@ -72,18 +72,18 @@ def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:
     hill, begin = np.array([-1.0, -1.0, 0.0, 0.0]), np.array([-1.0, 1.0, 0.5, 0.5])
 
     def hill_and_valley(g: Any) -> Any:
-        off = 200 * (g[1] - g[0] ** 2) ** 2 + (1 - g[0]) ** 2 + g[2] ** 2 + g[3] ** 2
+        off = 40_000 * (g[1] - g[0] ** 2) ** 2 + (1 - g[0]) ** 2 + g[2] ** 2 + g[3] ** 2
         return 0.02 + 0.5 / (1 + off) + 0.3 * ca.exp(-ca.sumsqr((g - hill) / 0.3))
 
     problem = damping_problem(hill_and_valley, [-2.0] * 4, [2.0] * 4)
     problem.linear = NEVER_ACTIVE
-    rough = optimise_locally(problem, begin, max_iterations=40, curvature=False, tolerance=1e-5)
+    rough = optimise_locally(problem, begin, max_iterations=100, tolerance=1e-5)
     assert rough.score.value < 0.2 < 0.31 < optimise_locally(problem, hill).score.value
     found = search(problem, hill, Effort(starts=0, hops=0), [begin]).best
     assert found.score.value == pytest.approx(0.52, abs=1e-6)
     assert found.x == pytest.approx([1, 1, 0, 0], abs=1e-3)
     alone = search(problem, hill, Effort(starts=0, hops=0, finalists=1), [begin]).best
-    assert alone.score.value == pytest.approx(0.52, abs=1e-6)  # each start is climbed far enough to be judged
+    assert alone.score.value < 0.33
 
 
 def test_limits_come_before_the_aim() -> None:

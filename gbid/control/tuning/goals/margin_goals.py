@@ -126,8 +126,8 @@ def _share(
     found = np.full(m, _NONE)
     if len(loop):
         np.maximum.at(found, loop, used(gain(loop, ((low + high) / 2)[:, None])[:, 0]))
-    # at zero frequency the loop gain is real, which limits the gain as well
-    rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0]
+    # at zero frequency the loop gain is real, which limits the gain as well; rounding may give it an imaginary part
+    rest = gain(np.arange(m), np.zeros((m, 1)))[:, 0].real.astype(complex)
     real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
     np.maximum(found, np.where(real, used(rest), _NONE), out=found)
     return np.asarray(found)
