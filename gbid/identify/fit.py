@@ -33,6 +33,7 @@ from gbid.identify.robust.loss import LossName, robust_loss
 from gbid.identify.robust.reweighting import reweighted_solution
 from gbid.identify.start.begin import begin_values
 from gbid.identify.start.settled_start import settled_start
+from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.structure import Parameter, Structure, as_names, known_names
 from gbid.threads import one_blas_thread
@@ -59,6 +60,9 @@ def fit(
     offsets: bool = False,
     robust: LossName | None = None,
     robust_threshold: float | None = None,
+    std: StdName = "auto",
+    bootstrap_draws: int | None = None,
+    bootstrap_seed: int | None = None,
     trend: TrendName | Mapping[str, TrendName] = "none",
     hum: float | Sequence[float] = (),
     initial_state: InitialState = "estimated",
@@ -112,6 +116,13 @@ def fit(
     robust_threshold : float, optional
         Huber: errors in standard deviations up to which a sample counts in full. Student: degrees of freedom. By
         default the standard deviations are 2.6 % larger than with squared errors, when the errors are normal.
+    std : {"auto", "bootstrap"}
+        Standard deviations. "auto": those for white errors, or robust ones where the residuals are not white.
+        "bootstrap": the robust ones times a factor for each parameter, so that 95 % intervals hold for errors that are
+        drawn from the model of the residuals. It takes the time of as many robust standard deviations as draws.
+    bootstrap_draws, bootstrap_seed : int, optional
+        Number of draws, at least 50 (default 200), and seed of the random numbers (default 0). The same seed gives the
+        same standard deviations.
     trend : {"none", "offset", "linear", "random walk"}, int or dict
         Trend of the outputs, estimated along for each recording: a polynomial of time of this degree (0 to 9), or an
         offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
@@ -166,6 +177,7 @@ def fit(
     if criterion == "auto":
         criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
     loss = robust_loss(robust, robust_threshold, len(data.output_names))
+    bootstrap = asked_bootstrap(std, bootstrap_draws, bootstrap_seed)
     disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
@@ -219,12 +231,13 @@ def fit(
             robust=loss,
             window=None if samples is None else window_length(problem),
             engine=assembly.engine,
+            bootstrap=bootstrap,
         )
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
         result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, light)
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
         result = replace(result, notes=(*result.notes, *notes))
-        doubtful = result.trusted == "robust" and strongly_coloured(problem, solution.unknowns)
+        doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)
         return Attempt(result, spectral_radius(problem.values(problem.unpack(solution.unknowns)[0])), doubtful)
 
     def settle() -> dict[str, float] | None:

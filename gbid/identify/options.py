@@ -12,6 +12,7 @@ from gbid.identify.nlp.shooting import Criterion
 from gbid.identify.nlp.watch import Stop
 from gbid.identify.predictor import Focus
 from gbid.identify.robust.loss import RobustLoss
+from gbid.identify.uncertainty.bootstrap import Bootstrap, StdName
 
 
 @dataclass(frozen=True)
@@ -42,6 +43,8 @@ class FitOptions:
         Number of samples in a shooting window; None for one window per recording.
     engine : {"compiled", "numpy"}
         Engine of the pass over the samples.
+    bootstrap : Bootstrap or None
+        Bootstrap of the standard deviations; None without one, also in a file of an earlier version.
     """
 
     inputs: tuple[str, ...]
@@ -56,3 +59,9 @@ class FitOptions:
     robust: RobustLoss | None
     window: int | None
     engine: RunEngine
+    bootstrap: Bootstrap | None = None
+
+    @property
+    def std(self) -> StdName:
+        """Standard deviations that were asked for: "bootstrap", or by the whiteness test ("auto")."""
+        return "auto" if self.bootstrap is None else "bootstrap"

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.discretise import Dual
@@ -16,17 +14,17 @@ from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
-from gbid.identify.result import FitResult
+from gbid.identify.result import FitResult, StdKind
 from gbid.identify.robust.reweighting import Reweighted
+from gbid.identify.uncertainty.bootstrap import Bootstrap
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
-from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined
+from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less, not_determined
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
 from gbid.structure import LinearModel, Parameter, Structure, evaluate
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
-_MOST_DIRECTIONS = 3  # largest number of undetermined directions that are listed one by one
 _NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
 _NEAR_IN_STD = 1e-3  # the same as a part of its standard deviation
 
@@ -82,16 +80,13 @@ def outcome(
     worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted, options.horizon))
     white = whiteness_test(by_record)
     sound = bool(finite) and not worse
-    trusted: Literal["white", "robust"] = (
-        "white" if sound and (white.p_value >= _COLOURED / len(white.p_value)).all() else "robust"
-    )
+    coloured = not (sound and (white.p_value >= _COLOURED / len(white.p_value)).all())
+    bootstrap = options.bootstrap if sound and solution.status.success else None
+    trusted: StdKind = "bootstrap" if bootstrap else "robust" if coloured else "white"
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
-        own = _covariance(problem, theta, starts, assembly, products, on_bound, initial_known, trusted == "robust")
-        if light is None:
-            return own
-        white, robust = light.factors
-        return own._replace(white=own.white * white, robust=own.robust * robust)
+        own = _covariance(problem, theta, starts, assembly, products, on_bound, initial_known, coloured, bootstrap)
+        return own if light is None else own.scaled(*light.factors)
 
     on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
     found = uncertainty(on_bound)
@@ -99,7 +94,9 @@ def outcome(
     if (pressed != on_bound).any():  # the solver stops slightly inside of an active bound
         on_bound = pressed
         found = uncertainty(on_bound)
-    chosen = found.white if trusted == "white" else found.robust
+    chosen = {"white": found.white, "robust": found.robust, "bootstrap": found.bootstrap}[trusted]
+    if chosen is None:
+        trusted, chosen = "robust", found.robust
 
     estimates = {**begin, **dict.fromkeys(assembly.unused, 0.0)}
     estimates |= {q.name: float(v) for q, v in zip(free, theta, strict=True)}
@@ -129,6 +126,7 @@ def outcome(
         covariance=chosen,
         covariance_white=found.white,
         covariance_robust=found.robust,
+        covariance_bootstrap=found.bootstrap,
         trusted=trusted,
         whiteness=white.p_value if finite else np.full(len(products), np.nan),
         modes_std=modes_std,
@@ -147,8 +145,9 @@ def outcome(
         start={name: begin[name] for name in estimates},
         start_origin={name: origin.get(own_name[name], "structure") for name in estimates},
         notes=(
-            *_notes(assembly, begin, free, on_bound, found, trusted),
+            *_notes(assembly, begin, free, on_bound, found, trusted, coloured),
             *_doubts(problem, theta, structure, assembly, found),
+            *(may_cover_less(found.models, model.modes(), data.sample_time, n) if coloured else ()),
             *_edge_note(problem, theta),
             *_light_note(light),
         ),
@@ -190,6 +189,7 @@ def _covariance(
     on_bound: BoolArray,
     initial_known: bool,
     coloured: bool,
+    bootstrap: Bootstrap | None,
 ) -> Covariance:
     nothing = np.full((len(theta), len(theta)), np.nan)
     none = Covariance(nothing, nothing, np.nan, np.zeros((0, len(theta))), np.inf)
@@ -205,6 +205,7 @@ def _covariance(
             on_bound,
             initial_known=initial_known,
             coloured=coloured,
+            bootstrap=bootstrap,
         )
     except np.linalg.LinAlgError:
         return none
@@ -230,18 +231,17 @@ def _notes(
     free: tuple[Parameter, ...],
     on_bound: BoolArray,
     found: Covariance,
-    trusted: str,
+    trusted: StdKind,
+    coloured: bool,
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in free])
     notes = [f"{name} lies on a bound: no standard deviation" for name in names[on_bound]]
-    if len(found.undetermined) > _MOST_DIRECTIONS:
-        notes.append(f"the information is singular in {len(found.undetermined)} directions: no standard deviations")
-    else:
-        notes += [_undetermined(direction, names) for direction in found.undetermined]
-    if trusted == "robust":
+    notes += not_determined(found.undetermined, names)
+    if coloured:
+        kind = "those of the bootstrap" if trusted == "bootstrap" else "the robust ones"
         notes.append(
-            "the residuals are not white: standard deviations are the robust ones, and do not contain the error of "
-            "the structure itself",
+            f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
+            "structure itself",
         )
     if not np.isnan(found.flatness) and found.flatness < FLATTEST:
         notes.append(
@@ -285,15 +285,6 @@ def _light_note(light: Reweighted | None) -> tuple[str, ...]:
     if light is None or not light.light:
         return ()
     return (f"robust loss: {100 * light.light:.2g} % of the samples count less than half",)
-
-
-def _undetermined(direction: FloatArray, names: npt.NDArray[np.str_]) -> str:
-    """Return a note on a direction without information: its parameters, and what of them is determined."""
-    strong = np.flatnonzero(np.abs(direction) > 0.1 * np.abs(direction).max())
-    involved = ", ".join(names[strong])
-    if len(strong) == 1:
-        return f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)"
-    return f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)"
 
 
 def _standard_deviations(

@@ -11,12 +11,15 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import brief, estimates
+from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify.curves.bode import Bode, bode
 from gbid.identify.curves.uncertain_model import ModelSlopes, UncertainModel
 from gbid.identify.options import FitOptions
 from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
+
+StdKind = Literal["white", "robust", "bootstrap"]
 
 
 def _of_each(at: str, words: str) -> Stored:
@@ -84,11 +87,12 @@ class FitResult:
     free : tuple of str
         Estimated parameters, in the order of `covariance`.
     covariance : (n_free, n_free) array
-        Covariance to use: `covariance_white` or `covariance_robust`, as `trusted` says.
+        Covariance to use: `covariance_white`, `covariance_robust` or `covariance_bootstrap`, as `trusted` says.
     covariance_white, covariance_robust : (n_free, n_free) array
         Covariance for white residuals, and for coloured residuals.
-    trusted : {"white", "robust"}
-        Covariance that the whiteness test of the residuals selects.
+    trusted : {"white", "robust", "bootstrap"}
+        Covariance that the whiteness test of the residuals selects; "bootstrap" where that was asked for. A fit that is
+        no estimate has no bootstrap, and its robust covariance.
     whiteness : (n_outputs,) array
         p-value of the whiteness test (Ljung-Box). Residuals count as coloured below 0.01 divided by the number of
         outputs.
@@ -136,6 +140,8 @@ class FitResult:
     model_slopes : ModelSlopes or None
         Derivatives of the matrices of `model` by the free parameters, for the uncertainty of its curves; None in a file
         of gbid 0.1.0.
+    covariance_bootstrap : (n_free, n_free) array or None
+        Robust covariance with the standard deviations of the bootstrap; None where none was asked for.
     """
 
     structure: str
@@ -147,7 +153,7 @@ class FitResult:
     covariance: Annotated[FloatArray, NOT_STORED]
     covariance_white: Annotated[FloatArray, _of_free("covariance_white", "covariance for white residuals")]
     covariance_robust: Annotated[FloatArray, _of_free("covariance_robust", "covariance for any residuals")]
-    trusted: Literal["white", "robust"]
+    trusted: StdKind
     whiteness: Annotated[FloatArray, Stored("", "probability of less white residuals, per output", "outputs")]
     modes_std: Annotated[FloatArray, Stored("Hz and 1", "standard deviations of frequency and damping", "modes 2")]
     static_gain_std: Annotated[FloatArray, Stored("", "standard deviations of the static gain", "outputs inputs")]
@@ -171,6 +177,9 @@ class FitResult:
     multi_start: StartsTried | None = None
     model_slopes: ModelSlopes | None = None
     optimality: Annotated[float | None, Stored("", "next step over standard deviations")] = None
+    covariance_bootstrap: Annotated[
+        FloatArray | None, _of_free("covariance_bootstrap", "robust covariance with the bootstrap's deviations")
+    ] = None
 
     def __repr__(self) -> str:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
@@ -245,20 +254,32 @@ class FitResult:
         own = self.local_names.get(recording, {})
         return {**shared, **{name: self.parameters[full] for name, full in own.items()}}
 
-    def std_with(self, kind: Literal["white", "robust"]) -> dict[str, float]:
-        """Return the standard deviations from one of the two covariances.
+    def std_with(self, kind: StdKind) -> dict[str, float]:
+        """Return the standard deviations from one of the covariances.
 
         Parameters
         ----------
-        kind : {"white", "robust"}
+        kind : {"white", "robust", "bootstrap"}
             Covariance to use.
 
         Returns
         -------
         dict of str to float
             Standard deviations by name.
+
+        Raises
+        ------
+        UsageError
+            When the fit has no bootstrap.
         """
-        chosen = self.covariance_white if kind == "white" else self.covariance_robust
+        of_kind = {
+            "white": self.covariance_white,
+            "robust": self.covariance_robust,
+            "bootstrap": self.covariance_bootstrap,
+        }
+        chosen = of_kind[kind]
+        if chosen is None:
+            raise UsageError("this fit has no bootstrap; fit with std='bootstrap'")
         sigma = dict(zip(self.free, np.sqrt(np.diag(chosen)).tolist(), strict=True))
         return {
             name: sigma[name] if name in sigma and np.isfinite(value) else value for name, value in self.std.items()

@@ -254,7 +254,7 @@ def test_fit_to_all_recordings_together(tmp_path):
 OPTIONS = (
     "{structure: piezo_pair, horizon: 2, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
-    "initial_state: zero, "
+    "std: bootstrap, bootstrap_draws: 300, bootstrap_seed: 7, initial_state: zero, "
     "engine: numpy, window: 400, "
     "left_out: {p5_n6000_prbs1: [[0.1, 0.1503], [0.5, 0.6]]}, bounds: {p2_x: [null, 2.0e4]}}"
 )
@@ -278,6 +278,7 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     # a sample at the end counts again: 0.1503 s lies between samples 751 and 752
     assert found["left_out"] == {"p5_n6000_prbs1": [(500, 752), (2500, 3000)]}
     assert (found["robust"], found["robust_threshold"]) == ("student", 5.0)
+    assert (found["std"], found["bootstrap_draws"], found["bootstrap_seed"]) == ("bootstrap", 300, 7)
     assert (found["trend"], found["hum"]) == ({"u_x": 2, "u_y": "linear"}, (50.0,))
     alone = fit_arguments(experiment, "piezos", data[1:])
     assert alone["left_out"] == {}

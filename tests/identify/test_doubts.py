@@ -5,7 +5,8 @@ from scipy.signal import lfilter
 
 from gbid.identify import fit
 from gbid.identify.uncertainty.covariance import Covariance
-from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined
+from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less
+from gbid.identify.uncertainty.error_model import ErrorModel
 from gbid.recording import Recording
 from gbid.structure import LinearStructure, Parameter, evaluate
 
@@ -61,3 +62,26 @@ def test_a_robust_std_far_below_the_white_one_is_said():
     assert far_below_white(Covariance(white, 0.25 * white, 1.0, none, 10.0), names) == []
     (note,) = far_below_white(Covariance(white, np.diag([0.9, 0.01]), 1.0, none, 10.0), names)
     assert "0.05 of them): d;" in note
+
+
+def at_a_mode(radius):
+    """Model of errors with a pair of poles at 0.3 rad per sample."""
+    a = np.poly([radius * np.exp(0.3j), radius * np.exp(-0.3j)]).real
+    return ErrorModel(-a[1:, None, None], np.eye(1))
+
+
+def test_errors_of_the_frequency_of_a_mode_in_short_records_are_said():
+    frequency = 0.3 / (2 * np.pi * H)
+    light, narrow, white = (frequency, 0.003), at_a_mode(0.98), ErrorModel(np.zeros((0, 1, 1)), np.eye(1))
+    (note,) = may_cover_less([white, narrow], [light], H, 5000)
+    assert "less often than they state" in note
+    assert f"mode of {frequency:.3g} Hz" in note
+    assert "last 4.5 of its times of decay" in note
+    assert may_cover_less([narrow], [light], H, 50_000) == []  # long enough
+    assert may_cover_less([narrow], [(frequency, 0.2)], H, 100) == []  # not lightly damped
+    assert may_cover_less([narrow], [(2 * frequency, 0.003)], H, 5000) == []  # of another frequency
+    assert may_cover_less([white], [light], H, 1000) == []
+    weak = at_a_mode(0.5)
+    assert may_cover_less([weak], [light], H, 5000) == []
+    assert len(may_cover_less([weak], [light], H, 1000)) == 1  # hardly a time of decay: nobody can tell
+    assert may_cover_less([], [light], H, 1000) == []

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.uncertainty.bootstrap import Bootstrap, Estimator, bootstrap_factors
 from gbid.identify.uncertainty.by_windows import grows, information_by_windows
+from gbid.identify.uncertainty.error_model import ErrorModel
 from gbid.identify.uncertainty.information import information_over_records
-from gbid.identify.uncertainty.score_covariance import score_covariance
+from gbid.identify.uncertainty.score_covariance import Transform, covariance_of, transformed
 
 _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which a direction is not determined
 # Smallest such eigenvalue for which exact Hessian and coloured scores are more than rounding. Below it the curvature is
@@ -38,6 +41,10 @@ class Covariance(NamedTuple):
         Unit directions, in parameters scaled by their curvature, that the data do not determine; usually empty.
     condition : float
         Condition number of the scaled information matrix.
+    bootstrap : (n_p, n_p) array or None
+        Robust covariance with the standard deviations that a bootstrap gives.
+    models : tuple of ErrorModel
+        Model of the errors of each record; empty where the robust covariance is the white one.
     """
 
     white: FloatArray
@@ -45,6 +52,13 @@ class Covariance(NamedTuple):
     flatness: float
     undetermined: FloatArray
     condition: float
+    bootstrap: FloatArray | None = None
+    models: tuple[ErrorModel, ...] = ()
+
+    def scaled(self, white: float, robust: float) -> Covariance:
+        """Return the covariances times these factors."""
+        bootstrap = None if self.bootstrap is None else self.bootstrap * robust
+        return self._replace(white=self.white * white, robust=self.robust * robust, bootstrap=bootstrap)
 
 
 def covariance(
@@ -57,6 +71,7 @@ def covariance(
     *,
     initial_known: bool = False,
     coloured: bool = False,
+    bootstrap: Bootstrap | None = None,
 ) -> Covariance:
     """Return the covariance of the parameters at an estimate.
 
@@ -79,11 +94,13 @@ def covariance(
     coloured : bool
         Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
         residuals and the exact Hessian of the cost, which needs a pass for each parameter.
+    bootstrap : Bootstrap, optional
+        Number of draws and seed of a bootstrap of the robust covariance, which counts residuals as coloured.
 
     Returns
     -------
     Covariance
-        Both covariances.
+        The covariances.
 
     Notes
     -----
@@ -95,7 +112,7 @@ def covariance(
     largest part along the disturbance gain. Their J is that of `gbid.identify.uncertainty.score_covariance`. A prior
     adds its information to H, and to J as a measurement with its variance does.
     """
-    n_p = problem.n_theta
+    n_p, modelled = problem.n_theta, coloured or bootstrap is not None
     n_all = n_p + len(record_window) * problem.n_states
     weight = problem.weight(error_products)
     freedom = max(1.0, problem.n_samples - n_all / len(weight))
@@ -109,7 +126,7 @@ def covariance(
         )
     else:
         found = information_over_records(
-            problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=coloured
+            problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=modelled
         )
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
@@ -133,9 +150,13 @@ def covariance(
 
     J_white = root.T @ J_white @ root
     white = robust = over_parameters(J_white, root)
-    if coloured:
-        J, _ = score_covariance(found.sensitivities, weight, root, np.flatnonzero(keep))
-        J += root.T @ np.diag(known * unit)[kept] @ root
+    drawn, models = None, list[ErrorModel]()
+    if modelled:
+        transforms: Iterable[Transform] = (transformed(r, np.flatnonzero(keep)) for r in found.sensitivities)
+        transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
+        J, models = covariance_of(transforms, weight, root)
+        J_known = root.T @ np.diag(known * unit)[kept] @ root
+        J += J_known
         blurred = eigenvalues[~dark] < _RESOLVED * eigenvalues[-1]
         onto = root
         if found.observed is not None:
@@ -144,13 +165,18 @@ def covariance(
             flatness = float(own[0])
             onto = root @ (axes / own) @ axes.T if flatness >= FLATTEST else root
         robust = over_parameters(_with_rounding(J, blurred, J_white), onto)
+        if bootstrap is not None:
+            estimator = Estimator(weight, root, onto, J_known, blurred)
+            factors = np.ones(n_p)
+            factors[~held] = bootstrap_factors(list(transforms), models, estimator, bootstrap)[:n_kept]
+            drawn = robust * np.outer(factors, factors)
 
     directions = np.zeros((int(dark.sum()), n_p))
     directions[:, ~held] = vectors[:n_kept, dark].T
     # A direction of initial states alone does not concern the parameters.
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
-    return Covariance(white, robust, flatness, directions, condition)
+    return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models))
 
 
 def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) -> FloatArray:

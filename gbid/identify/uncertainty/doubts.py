@@ -2,14 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.identify.uncertainty.covariance import Covariance
+from gbid.identify.uncertainty.error_model import ErrorModel
 
 _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named
+_PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion
+_DECAYS = 25.0  # times that a mode decays in all records, below which its slow errors are seen too seldom
+_HARDLY_ONE = 2.0  # times of decay below which the records do not show whether the errors move the mode
+_LIGHT = 0.1  # damping factor below which a mode counts as lightly damped
+_FREQUENCIES = 2048  # for the mean power
 _FAR_BELOW = 1 / 3  # ratio of the standard deviations below which a note says so
+
+_MOST_DIRECTIONS = 3  # largest number of undetermined directions that are listed one by one
+
+
+def not_determined(directions: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
+    """Return notes on directions (n_directions, n) without information: their parameters, and what is determined."""
+    if len(directions) > _MOST_DIRECTIONS:
+        return [f"the information is singular in {len(directions)} directions: no standard deviations"]
+    notes = []
+    for direction in directions:
+        strong = np.flatnonzero(np.abs(direction) > _INVOLVED * np.abs(direction).max())
+        involved = ", ".join(names[strong])
+        if len(strong) == 1:
+            notes.append(f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)")
+        else:
+            notes.append(f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)")
+    return notes
 
 
 def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
@@ -78,3 +103,48 @@ def far_below_white(found: Covariance, names: npt.NDArray[np.str_]) -> list[str]
         f"{', '.join(names[low])}; they hold only if the errors have hardly any power where these parameters act, as "
         "the residuals say; std_with('white') is the careful choice"
     ]
+
+
+def may_cover_less(
+    models: Sequence[ErrorModel], modes: Sequence[tuple[float, float]], sample_time: float, n_samples: int
+) -> list[str]:
+    """Return a note on intervals that contain the truth less often than they state.
+
+    Parameters
+    ----------
+    models : sequence of ErrorModel
+        Model of the errors of each record.
+    modes : sequence of (frequency [Hz], damping factor)
+        Modes of the structure at the estimate.
+    sample_time : float
+        Time between samples [s].
+    n_samples : int
+        Number of samples of all records.
+
+    Notes
+    -----
+    The study of docs/uncertainty.md has low coverage where two things come together: the errors have a peak at the
+    frequency of a lightly damped mode, and the records last few of its times of decay. Then the fit explains a part of
+    the errors as motion of the mode, and what is left says little of them. Below about one time of decay hardly a peak
+    is left, so that any power above the mean counts.
+    """
+    grid = np.pi * (np.arange(_FREQUENCIES) + 0.5) / _FREQUENCIES
+    coloured = [model for model in models if model.order]
+    power = [np.diagonal(model.spectrum(grid), axis1=1, axis2=2).real.mean(axis=0) for model in coloured]
+    told = []
+    for frequency, damping in modes:
+        if not 0 < damping < _LIGHT:
+            continue
+        decays = 2 * np.pi * frequency * damping * sample_time * n_samples
+        turn = np.array([2 * np.pi * frequency * sample_time * np.sqrt(1 - damping**2)])
+        peaks = [
+            float((np.diagonal(model.spectrum(turn)[0]).real / mean).max())
+            for model, mean in zip(coloured, power, strict=True)
+        ]
+        if decays < _DECAYS and max(peaks, default=0.0) > (1.0 if decays < _HARDLY_ONE else _PEAK):
+            told.append(
+                f"intervals may contain the truth less often than they state: at the mode of {frequency:.3g} Hz the "
+                f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
+                "times of decay; record longer, or free a disturbance gain"
+            )
+    return told

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import eigh
 
-from gbid.arrays import FloatArray, IntArray
+from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.predictor import PredictorValues
 from gbid.identify.uncertainty.error_model import ErrorModel, error_model, lag_products, longest_order
 from gbid.identify.uncertainty.feedback_term import feedback_term
@@ -52,20 +52,20 @@ def score_covariance(
     damped modes, this is a notch in their spectrum just where S counts. So the expected products of the part that is
     missing, ``psi C psi'`` with the covariance C of the estimates, are added to those of the residuals.
     """
-    n_kept = len(kept)
+    return covariance_of((transformed(record, kept) for record in records), weight, root)
+
+
+def covariance_of(
+    transforms: Iterable[Transform], weight: FloatArray, root: FloatArray
+) -> tuple[FloatArray, list[ErrorModel]]:
+    """Return the same as `score_covariance` from sensitivities that are transformed already."""
+    n_kept = len(root)
     models, short = [], []
     long = np.zeros((2, n_kept, n_kept))  # of sensitivities as they are, and what feedback of errors changes
-    for i, record in enumerate(records):
-        place = np.searchsorted(kept, record.columns)
-        own = np.flatnonzero(kept[np.minimum(place, n_kept - 1)] == record.columns)
-        n = len(record.errors)
-        size = next_fast_len(n + min(n, _APART), real=True)
-        feedback, n_counted = _feedback(record, place, own), int(record.counted.sum())
-        psi = record.psi if len(own) == len(place) else record.psi[:, own]
-        transform = _Transform(rfft(psi, size), place[own], size, feedback, n_counted)
-        products, count = _products(record)
+    for i, transform in enumerate(transforms):
+        products, count = _products(transform)
         models.append(error_model(products, count))
-        if n > _LONG:
+        if len(transform.errors) > _LONG:
             _add(long, transform, models[i], weight)
         else:
             short.append((i, transform, products, count))
@@ -95,8 +95,8 @@ def _joined(total: FloatArray, root: FloatArray) -> FloatArray:
     return np.asarray(linear + (onto * np.maximum(share, _LEAST - 1)) @ onto.T)
 
 
-class _Transform(NamedTuple):
-    """Fourier transform of the sensitivities of a record.
+class Transform(NamedTuple):
+    """Errors of a record, and the Fourier transform of the sensitivities of its predictions.
 
     Attributes
     ----------
@@ -107,15 +107,29 @@ class _Transform(NamedTuple):
         Number of samples with padding.
     feedback : tuple or None
         Predictor with feedback; which of its parameters are kept; their places.
-    n_counted : int
-        Number of samples in the cost.
+    errors : (n_samples, n_y) array
+        Prediction errors; zero for samples that are left out.
+    counted : (n_samples,) boolean array
+        Whether a sample is in the cost.
     """
 
     psi: FloatArray
     columns: IntArray
     size: int
     feedback: tuple[PredictorValues, IntArray, IntArray] | None
-    n_counted: int
+    errors: FloatArray
+    counted: BoolArray
+
+
+def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
+    """Return the transform of the sensitivities by the unknowns that count as estimated, (n_kept,) integers."""
+    place = np.searchsorted(kept, record.columns)
+    own = np.flatnonzero(kept[np.minimum(place, len(kept) - 1)] == record.columns)
+    n = len(record.errors)
+    size = next_fast_len(n + min(n, _APART), real=True)
+    psi = record.psi if len(own) == len(place) else record.psi[:, own]
+    feedback = _feedback(record, place, own)
+    return Transform(rfft(psi, size), place[own], size, feedback, record.errors, record.counted)
 
 
 def _feedback(
@@ -128,7 +142,7 @@ def _feedback(
     return v, which, place[columns[which]]
 
 
-def _products(record: RecordSensitivities) -> tuple[FloatArray, int]:
+def _products(record: Transform) -> tuple[FloatArray, int]:
     """Return the products of residuals at all pairs of lags, over the stretches in which all samples count."""
     edges = np.flatnonzero(np.diff(record.counted)) + 1
     stretches = [
@@ -141,7 +155,7 @@ def _products(record: RecordSensitivities) -> tuple[FloatArray, int]:
     return lag_products(stretches, longest)
 
 
-def _add(total: FloatArray, transform: _Transform, model: ErrorModel, weight: FloatArray) -> None:
+def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: FloatArray) -> None:
     """Add the covariance of the gradient of a record."""
     psi, own, size = transform.psi, transform.columns, transform.size
     found = np.zeros((len(own), len(own)))
@@ -156,7 +170,7 @@ def _add(total: FloatArray, transform: _Transform, model: ErrorModel, weight: Fl
         v, which, places = transform.feedback
         term = feedback_term(v, model, weight)
         if term is not None:
-            total[1][np.ix_(places, places)] += transform.n_counted * term[np.ix_(which, which)]
+            total[1][np.ix_(places, places)] += transform.counted.sum() * term[np.ix_(which, which)]
 
 
 def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> FloatArray:
@@ -168,7 +182,7 @@ def _weighted(model: ErrorModel, weight: FloatArray, size: int) -> FloatArray:
     return np.asarray(onto)
 
 
-def _taken(transform: _Transform, C: FloatArray, longest: int) -> FloatArray:
+def _taken(transform: Transform, C: FloatArray, longest: int) -> FloatArray:
     """Return the expected products, at all pairs of lags, of the part of the errors that the fit explained."""
     psi, own, size = transform.psi, transform.columns, transform.size
     scale = np.sqrt(np.maximum(np.diag(C)[own], np.finfo(float).tiny))

@@ -29,12 +29,14 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
     Returns
     -------
     list of dict
-        parameter, estimate, std (the one to use), std_white, std_robust, truth, deviation_std (in standard
-        deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are None, also the standard
-        deviation of a parameter without one.
+        parameter, estimate, std (the one to use), std_white, std_robust, std_bootstrap (where there is one), truth,
+        deviation_std (in standard deviations), deviation_percent, unit, fixed, start, start_origin. Unknown values are
+        None, also the standard deviation of a parameter without one.
     """
     rows = []
-    white, robust = result.std_with("white"), result.std_with("robust")
+    by_kind = {"std_white": result.std_with("white"), "std_robust": result.std_with("robust")}
+    if result.covariance_bootstrap is not None:
+        by_kind["std_bootstrap"] = result.std_with("bootstrap")
     for name, estimate in result.parameters.items():
         std, true = result.std[name], truth.get(name)
         off = None if true is None else estimate - true
@@ -43,8 +45,7 @@ def parameter_rows(result: FitResult, truth: Mapping[str, float]) -> list[Row]:
                 "parameter": name,
                 "estimate": estimate,
                 "std": finite_or_none(std),
-                "std_white": finite_or_none(white[name]),
-                "std_robust": finite_or_none(robust[name]),
+                **{key: finite_or_none(own[name]) for key, own in by_kind.items()},
                 "truth": true,
                 "deviation_std": off / std if off is not None and np.isfinite(std) and std > 0 else None,
                 "deviation_percent": 100 * off / abs(true) if off is not None and true else None,

@@ -131,6 +131,9 @@ class FitSection(Section):
     offsets: Switch = False
     robust: Literal["huber", "student"] | None = None
     robust_threshold: Positive | None = None
+    std: Literal["auto", "bootstrap"] = "auto"
+    bootstrap_draws: Annotated[int, Strict(), Field(ge=50)] | None = None
+    bootstrap_seed: CountOrZero | None = None
     trend: Annotated[
         TrendName | dict[Text, TrendName],
         BeforeValidator(_trend),
