@@ -8,12 +8,15 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
+
 from gbid.errors import DataError, GbidError, UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.stages.fit.plan import fit_models
 from gbid.experiment.stages.fit.structures import fit_disturbances, structure_or_none
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
+from gbid.identify.problem.initial_states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import Peek, peek
 from gbid.structure import symbolic_matrices
@@ -83,12 +86,16 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> li
             continue
         _, matrices = symbolic_matrices(structure)
         free = [q for q in structure.parameters if q.name not in section.fixed]
-        shared, own = len(free), matrices.A.shape[0] if section.initial_state == "estimated" else 0
+        shared, own = len(free), dict.fromkeys(seen, matrices.A.shape[0])
+        with suppress(GbidError):  # another check reports it
+            used = [q.name for q in experiment.fit_recordings(fit)]
+            states = initial_states(structure, free, section.initial_state, used)
+            own |= dict(zip(used, np.sum(~states.known, axis=1).tolist(), strict=True))
         with suppress(UsageError):  # another check reports it
             shared += len(fit_disturbances(experiment, fit, structure).names)
         for names in fit_models(experiment, fit).values():
             known = [name for name in names if name in seen]
-            samples, unknowns = sum(seen[name].n_samples for name in known), shared + own * len(known)
+            samples, unknowns = sum(seen[name].n_samples for name in known), shared + sum(own[name] for name in known)
             if known and samples < PER_UNKNOWN * unknowns:
                 texts.append(
                     f"recording {', '.join(known)}: {samples} samples for the {unknowns} unknowns of fit {fit}; "

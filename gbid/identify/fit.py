@@ -26,7 +26,8 @@ from gbid.identify.other_gains import lowest_of_several, strongly_coloured
 from gbid.identify.outcome import outcome, overflow_notes
 from gbid.identify.predictor import Focus, noise_names
 from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start
-from gbid.identify.problem.scaling import InitialState, build_problem, unknown_bounds, window_length
+from gbid.identify.problem.initial_states import InitialState, initial_states
+from gbid.identify.problem.scaling import build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
 from gbid.identify.result import FitResult
 from gbid.identify.robust.loss import LossName, robust_loss
@@ -65,7 +66,7 @@ def fit(
     bootstrap_seed: int | None = None,
     trend: TrendName | Mapping[str, TrendName] = "none",
     hum: float | Sequence[float] = (),
-    initial_state: InitialState = "estimated",
+    initial_state: InitialState = "auto",
     left_out: Mapping[str, Sequence[tuple[int, int]]] | None = None,
     window: int | Literal["auto"] | None = "auto",
     stop: Stop = "tolerance",
@@ -128,8 +129,10 @@ def fit(
         offset that is a random walk, whose gain is estimated. A dict has an entry for each output channel with a trend.
     hum : float or sequence of float
         Known frequencies [Hz] of sinusoids in all outputs, whose amplitudes are estimated along for each recording.
-    initial_state : {"estimated", "zero"}, sequence of float or dict
-        Initial state of each recording. A dict gives ``"zero"`` or a state for each recording by name.
+    initial_state : {"auto", "estimated", "zero", "structure"}, sequence or dict
+        Initial state of each recording: estimated, or ``x0`` of the structure, a function of the parameters. "auto" is
+        "structure" when the structure gives `x0`, else "estimated". A sequence has a number, ``"estimated"`` or
+        ``"structure"`` for each state. A dict gives one of these to each recording by name.
     left_out : dict of str to sequence of (start, stop), optional
         Samples of recordings, by name, whose errors do not count (a rub, a dropout). The model is simulated there.
     window : int, None or "auto"
@@ -173,6 +176,7 @@ def fit(
     parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {}, from_data=isinstance(start, str))
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
+    states = initial_states(structure, parameters, initial_state, [record.name for record in data.records])
 
     if criterion == "auto":
         criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
@@ -198,6 +202,7 @@ def fit(
             focus=focus,
             horizon=horizon,
             disturbances=disturbances,
+            released=states.released,
             local=local or {},
             left_out=left_out or {},
             window=samples,
@@ -208,7 +213,7 @@ def fit(
         rate = spectral_radius(problem.values(problem.unpack(unknowns)[0]))
         if plan.grows(rate) and not unstable:
             return Attempt(None, rate, False)
-        lower, upper = unknown_bounds(problem, assembly, initial_state, [r.name for r in data.records])
+        lower, upper = unknown_bounds(problem, assembly, states)
         inside = np.clip(unknowns, lower, upper)
 
         def run(begin: FloatArray, posed: Shooting = problem) -> Solution:
@@ -226,7 +231,7 @@ def fit(
             intersample=check_holds(hold, len(data.input_names)),
             criterion=criterion,
             stop=stop,
-            initial_state=initial_state if isinstance(initial_state, str) else "given",
+            initial_state=states.word,
             disturbances=disturbances,
             robust=loss,
             window=None if samples is None else window_length(problem),
@@ -234,7 +239,7 @@ def fit(
             bootstrap=bootstrap,
         )
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
-        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, light)
+        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, states, light)
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
         result = replace(result, notes=(*result.notes, *notes))
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)

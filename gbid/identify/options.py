@@ -33,8 +33,8 @@ class FitOptions:
         Criterion.
     stop : {"tolerance", "paper"}
         Stopping rule.
-    initial_state : {"estimated", "zero", "given"}
-        Initial state of each recording.
+    initial_state : {"estimated", "zero", "structure", "given"}
+        Initial state of each recording; "given" when it differs between recordings or states.
     disturbances : Disturbances
         Trends and hum of the outputs that were estimated along.
     robust : RobustLoss or None
@@ -54,7 +54,7 @@ class FitOptions:
     intersample: tuple[Hold, ...]
     criterion: Criterion
     stop: Stop
-    initial_state: Literal["estimated", "zero", "given"]
+    initial_state: Literal["estimated", "zero", "structure", "given"]
     disturbances: Disturbances
     robust: RobustLoss | None
     window: int | None

@@ -14,6 +14,7 @@ from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
+from gbid.identify.problem.initial_states import InitialStates, released_states
 from gbid.identify.result import FitResult, StdKind
 from gbid.identify.robust.reweighting import Reweighted
 from gbid.identify.uncertainty.bootstrap import Bootstrap
@@ -39,6 +40,7 @@ def outcome(
     begin: Mapping[str, float],
     origin: Mapping[str, str],
     options: FitOptions,
+    states: InitialStates,
     light: Reweighted | None = None,
 ) -> FitResult:
     """Return the result of a fit, evaluated at the solution.
@@ -55,6 +57,8 @@ def outcome(
         Origin of each start value.
     options : FitOptions
         Options of the fit.
+    states : InitialStates
+        Initial states: estimated, fixed, or functions of the parameters.
     light : Reweighted, optional
         Problem with the weights of a robust loss; its solution is `solution`.
 
@@ -74,7 +78,8 @@ def outcome(
         errors = problem.errors(values, starts)
     products = np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e) for e in errors))
     finite = np.isfinite(products).all() and np.isfinite(theta).all()
-    initial_known = options.initial_state != "estimated"
+    n_records, n_states = states.known.shape
+    settled = np.hstack([states.known, np.zeros((n_records, problem.n_states - n_states), bool)])
     by_record = _by_record(problem, errors, assembly)
     whole = np.asarray(sum(e.T @ e for e in every))
     worse = bool(finite) and explains_nothing(problem, whole, _counted_outputs(data, counted, options.horizon))
@@ -85,7 +90,7 @@ def outcome(
     trusted: StdKind = "bootstrap" if bootstrap else "robust" if coloured else "white"
 
     def uncertainty(on_bound: BoolArray) -> Covariance:
-        own = _covariance(problem, theta, starts, assembly, products, on_bound, initial_known, coloured, bootstrap)
+        own = _covariance(problem, theta, starts, assembly, products, on_bound, settled, coloured, bootstrap)
         return own if light is None else own.scaled(*light.factors)
 
     on_bound = _on_bound(free, theta, _NEAR * problem.theta_scale)
@@ -114,7 +119,8 @@ def outcome(
     own = [q.name for q in structure.parameters]
     model = evaluate(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
     modes_std, gain_std = _propagated(problem, theta, chosen, model)
-    n, k = problem.n_samples, len(theta) + (0 if initial_known else starts[assembly.record_window].size)
+    n, k = problem.n_samples, len(theta) + int((~settled).sum())
+    first_states = starts[assembly.record_window] + released_states(problem, theta, assembly.record_window)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
     return FitResult(
         structure=structure.name,
@@ -131,7 +137,7 @@ def outcome(
         whiteness=white.p_value if finite else np.full(len(products), np.nan),
         modes_std=modes_std,
         static_gain_std=gain_std,
-        initial_states=starts[assembly.record_window][:, : assembly.n_states],
+        initial_states=first_states[:, : assembly.n_states],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
         fit_percent=_fit_percent(data, every, counted, options.horizon),
@@ -187,7 +193,7 @@ def _covariance(
     assembly: Assembly,
     products: FloatArray,
     on_bound: BoolArray,
-    initial_known: bool,
+    settled: BoolArray,
     coloured: bool,
     bootstrap: Bootstrap | None,
 ) -> Covariance:
@@ -203,7 +209,7 @@ def _covariance(
             assembly.record_window,
             products,
             on_bound,
-            initial_known=initial_known,
+            known_starts=settled,
             coloured=coloured,
             bootstrap=bootstrap,
         )

@@ -95,6 +95,8 @@ class Predictor:
         Number of steps of the prediction.
     sample_time : float
         Time between samples [s].
+    released : bool
+        Whether initial states are functions of the parameters. They act like an impulse at the first sample.
     """
 
     free: tuple[Parameter, ...]
@@ -111,6 +113,7 @@ class Predictor:
     walks: tuple[int, ...]
     horizon: int
     sample_time: float
+    released: bool
     _function: ca.Function
     _shapes: tuple[tuple[int, int], ...]
 
@@ -120,9 +123,10 @@ class Predictor:
         return [i for i in self.prompt if self.holds[i] == "foh"]
 
     @property
-    def _idle(self) -> bool:
-        """Whether nothing drives the model: a free decay. One regressor that is zero stands for the missing ones."""
-        return not (self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns)
+    def _has_impulse(self) -> bool:
+        """Whether an impulse is a regressor: for released states, and with zeros as its columns for a free decay."""
+        driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns
+        return self.released or not driven
 
     def at(self, theta: FloatArray) -> PredictorValues:
         """Return the matrices at values of the free parameters, shape (n_free,).
@@ -132,7 +136,7 @@ class Predictor:
         UsageError
             When an exact delay is negative.
         """
-        A, B, C, D, K, B_delayed, delay = self._evaluate(theta)
+        A, B, C, D, K, B_delayed, delay, x0 = self._evaluate(theta)
         n_p, n_y = len(self.free), self.n_outputs
         prompt, lead = list(self.prompt), self._lead
         acting = [B.columns(prompt)] if prompt else []
@@ -158,9 +162,9 @@ class Predictor:
         if self.disturbances.n_columns:
             drives.append(constant(np.zeros((self.n_states, self.disturbances.n_columns)), n_p))
             feeds.append(disturbing_columns(self.disturbances, theta))
-        if self._idle:
-            drives.append(constant(np.zeros((self.n_states, 1)), n_p))
-            feeds.append(constant(np.zeros((n_y, 1)), n_p))
+        if self._has_impulse:
+            drives.append(F @ x0)
+            feeds.append(C @ x0)
         drive, feed = side_by_side(drives), side_by_side(feeds)
         if not self.feeds_back:
             parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
@@ -176,7 +180,7 @@ class Predictor:
         """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
 
         Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
-        delayed input its samples around ``k - shift``; those of trends and hum; a zero if there is nothing else;
+        delayed input its samples around ``k - shift``; those of trends and hum; an impulse at the first sample;
         ``y[k]`` if the disturbance gain is used; and all but the last again for a longer horizon. Before the record an
         input is constant at its first sample. After it the input is constant at its last sample, without effect.
         """
@@ -194,8 +198,8 @@ class Predictor:
             parts += [lagged([i], lag) for lag in range(first, d + 2)]
         if self.disturbances.n_columns:
             parts.append(self.disturbances.regressors(n, self.sample_time))
-        if self._idle:
-            parts.append(np.zeros((n, 1)))
+        if self._has_impulse:
+            parts.append(np.eye(n, 1))
         now = np.hstack(parts)
         z = [now, outputs] if self.feeds_back else [now]
         rows = n - self.horizon + 1
@@ -207,9 +211,13 @@ class Predictor:
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Return the matrices of the structure in continuous time with their derivatives, as in `Matrices`."""
-        A, B, C, D, K, B_delayed, delay = self._evaluate(theta)
+        A, B, C, D, K, B_delayed, delay, _ = self._evaluate(theta)
         own = slice(self.n_states - len(self.disturbances.walking))  # the states of random walks are the last
         return [A.rows(own).columns(own), B.rows(own), C.columns(own), D, K.rows(own), B_delayed.rows(own), delay]
+
+    def released_state(self, theta: FloatArray) -> FloatArray:
+        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        return self._evaluate(theta)[-1].value[:, 0]
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         n_p = len(self.free)
@@ -234,6 +242,7 @@ def build_predictor(
     *,
     disturbances: Disturbances = UNDISTURBED,
     horizon: int = 1,
+    released: Sequence[bool] = (),
 ) -> Predictor:
     """Return the predictor of a structure for a fit.
 
@@ -253,6 +262,8 @@ def build_predictor(
         Trends and hum of the outputs, estimated along.
     horizon : int
         Number of steps of the prediction.
+    released : sequence of bool
+        States of the structure that begin at its ``x0``; empty when this is so for no state of any record.
 
     Returns
     -------
@@ -270,7 +281,8 @@ def build_predictor(
     between samples. With ``e[k] = y[k] - C x[k] - D u[k]`` the predictor is
     ``x[k+1] = (Ad - Kd C) x[k] + (Bd - Kd D) u[k] + Kd y[k]``.
     A trend or hum adds to the outputs like a known input whose entries of D are unknown. The offset of a random walk is
-    a further state that only the error drives.
+    a further state that only the error drives. An initial state x0 acts like an impulse at the first sample, with the
+    column ``Ad x0`` onto the state and ``C x0`` onto the outputs.
     """
     p, own = symbolic_matrices(structure)
     gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
@@ -279,7 +291,8 @@ def build_predictor(
     holds = check_holds(intersample, m.B.shape[1])
     n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
-    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay]
+    x0 = m.x0 if released else ca.SX(n, 1)
+    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay, x0]
     seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
@@ -290,6 +303,7 @@ def build_predictor(
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
+    matrices[7] = ca.diag(ca.DM([float(own) for own in released] + [0.0] * (n - len(released)))) @ matrices[7]
     delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
     matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
     coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
@@ -314,6 +328,7 @@ def build_predictor(
         walks=walks,
         horizon=horizon,
         sample_time=sample_time,
+        released=any(released),
         _function=function,
         _shapes=tuple(matrix.shape for matrix in matrices),
     )
@@ -325,7 +340,7 @@ def noise_names(structure: Structure) -> frozenset[str]:
 
 
 def _only_in_gain(m: Matrices) -> frozenset[str]:
-    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(m.A, m.B, m.C, m.D, m.B_delayed, m.delay))}
+    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(*m._replace(K=ca.SX(0, 0))))}
     return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
 
 

@@ -51,6 +51,7 @@ def pade_delay(tau: Any, order: int = 1) -> Matrices:
         nothing,
         nothing,
         ca.SX(0, 1),
+        ca.SX(0, 1),
     )
 
 

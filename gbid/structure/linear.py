@@ -19,7 +19,7 @@ class Matrices(NamedTuple):
     """State-space matrices as casadi.SX.
 
     ``xd(t) = A x(t) + B u(t) + B_delayed u(t - delay) + K e(t)``, ``y = C x + D u + e``. Without exact delays `delay`
-    is empty and `B_delayed` has no entries.
+    is empty and `B_delayed` has no entries. ``x(0) = x0``; without a stated initial state `x0` is empty.
 
     Attributes
     ----------
@@ -27,6 +27,8 @@ class Matrices(NamedTuple):
         (n, n), (n, n_inputs), (n_outputs, n), (n_outputs, n_inputs), (n, n_outputs).
     B_delayed, delay : casadi.SX
         (n, n_inputs), (n_inputs, 1) [s].
+    x0 : casadi.SX
+        (n, 1).
     """
 
     A: ca.SX
@@ -36,6 +38,7 @@ class Matrices(NamedTuple):
     K: ca.SX
     B_delayed: ca.SX
     delay: ca.SX
+    x0: ca.SX
 
     @property
     def has_delay(self) -> bool:
@@ -75,7 +78,8 @@ class Structure(Protocol):
 
         A structure without inputs may leave out B as well.
 
-        ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together define an exact input delay.
+        ``"B_delayed"`` (n, n_inputs) and ``"delay"`` (n_inputs, 1) [s] together define an exact input delay. ``"x0"``
+        (n, 1) is the initial state, when it is a function of the parameters.
 
         Parameters
         ----------
@@ -99,7 +103,9 @@ class LinearStructure:
         ``matrices(p) -> {"A", "B", "C", "D", "K"}``: CasADi matrices (or nested lists of symbols and numbers)
         of the continuous-time model for parameters ``p["name"]`` (also ``p.name``). D and K may be left out, and B for
         a structure without inputs.
-        ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs with exact delays.
+        ``"B_delayed"`` and ``"delay"`` (one per input, s) add inputs with exact delays. ``"x0"`` (one per state) is the
+        initial state of every recording as a function of the parameters, such as the angle of a pendulum that is
+        released at rest.
     inputs, outputs : str or sequence of str
         Signals of the recordings; ``"p.x"`` selects one channel. ``inputs=()`` for a structure that only decays.
     intersample : {"zoh", "foh"}
@@ -184,7 +190,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     unknown = [letter for letter in given if letter not in Matrices._fields]
     if missing or unknown or ("delay" in given) != ("B_delayed" in given):
         raise UsageError(
-            f"{where}: matrices(p) must give A and C, and may give B, D, K, and B_delayed with delay; "
+            f"{where}: matrices(p) must give A and C, and may give B, D, K, x0, and B_delayed with delay; "
             f"got {', '.join(given) or 'nothing'}"
         )
     sx = {letter: _as_matrix(value, f"{where}: {letter}") for letter, value in given.items()}
@@ -196,8 +202,10 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     sx.setdefault("K", ca.SX(n, n_y))
     sx.setdefault("B_delayed", ca.SX(n, n_u))
     sx.setdefault("delay", ca.SX(0, 1))
+    sx.setdefault("x0", ca.SX(0, 1))
     expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y), "B_delayed": (n, n_u)}
     expected["delay"] = (n_u if has_delay else 0, 1)
+    expected["x0"] = (n if "x0" in given else 0, 1)
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
@@ -238,7 +246,7 @@ def evaluate(
     if missing:
         raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
     p, symbolic = symbolic_matrices(structure)
-    function = ca.Function("matrices", [p], [ca.densify(m) for m in symbolic])
+    function = ca.Function("matrices", [p], [ca.densify(m) for m in symbolic[:-1]])  # a model has no initial state
     numeric = function(ca.DM([float(values[parameter.name]) for parameter in structure.parameters]))
     A, B, C, D, K, B_delayed, delay = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
     return LinearModel(

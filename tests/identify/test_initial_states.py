@@ -1,11 +1,13 @@
-"""Initial states that are given for each recording."""
+"""Initial states that are given for each recording, or for some of its states."""
 
 import numpy as np
 import pytest
 from fit_cases import MODE, MODE_AT, H, levels, simulated
+from scipy.optimize import least_squares
 
 from gbid.errors import UsageError
 from gbid.identify import fit
+from gbid.structure import evaluate
 
 STARTS = {"a": [2.0, 0.0], "b": [0.0, -6.0]}
 
@@ -37,13 +39,51 @@ def test_zero_is_a_state_of_a_recording():
     assert rest.sample_time == H
 
 
+@pytest.mark.parametrize("engine", ["compiled", "numpy"])
+def test_some_states_are_given_and_others_estimated(engine):
+    states = {"a": [2.0, "estimated"], "b": "estimated"}
+    found = fit(MODE, recordings(), initial_state=states, focus="simulation", engine=engine)
+    assert found.options.initial_state == "given"
+    assert found.initial_states[0, 0] == 2.0
+    both = recordings()
+
+    def errors(x):
+        model = evaluate(MODE, dict(zip("wzg", x[:3], strict=True)) | {"l1": 0.0, "l2": 0.0})
+        starts = [2.0, x[3]], x[4:]
+        return np.concatenate(
+            [
+                r.signal("y") - model.simulate(r.signal("u"), H, initial_state=s)
+                for r, s in zip(both, starts, strict=True)
+            ]
+        )[:, 0]
+
+    best = least_squares(
+        errors, [5.0, 0.05, 2.0, 0.0, 0.0, -6.0], x_scale=[5, 0.05, 2, 1, 1, 1], xtol=1e-13, ftol=1e-13
+    )
+    np.testing.assert_allclose([found.parameters[q] for q in "wzg"], best.x[:3], rtol=1e-6)
+    np.testing.assert_allclose(found.initial_states.ravel()[1:], best.x[3:], rtol=1e-4, atol=1e-5)
+    variance = 2 * best.cost / (len(best.fun) - len(best.x))
+    std = np.sqrt(np.diag(np.linalg.inv(best.jac.T @ best.jac)) * variance)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance_white)), std[:3], rtol=1e-4)
+    free = fit(MODE, both, focus="simulation", engine=engine)
+    assert free.aic - found.aic == pytest.approx(
+        1200 * np.log(free.error_covariance[0, 0] / found.error_covariance[0, 0]) + 2, abs=1e-6
+    )
+
+
 @pytest.mark.parametrize(
     ("states", "words"),
     [
         ({"a": [2.0, 0.0]}, "give one for each recording of the fit and for no other; wrong: b"),
         ({**STARTS, "c": "zero"}, "wrong: c"),
         ({"a": [2.0], "b": "zero"}, "initial_state has shape (1,); the structure has 2 states"),
-        ({"a": "estimated", "b": "zero"}, "initial_state = 'estimated'"),
+        (
+            {"a": "rest", "b": "zero"},
+            "initial_state = 'rest'; choose 'estimated', 'zero', 'structure' or give the state",
+        ),
+        ([0.0, "free"], "initial_state: state 'free'; give a number, 'estimated' or 'structure'"),
+        ([0.0, float("inf")], "it must be finite"),
+        ("structure", "structure 'mode' states none; add x0 to its matrices(p)"),
     ],
 )
 def test_what_is_missing_is_refused(states, words):

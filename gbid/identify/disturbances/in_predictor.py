@@ -65,4 +65,5 @@ def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matr
         C=ca.horzcat(m.C, onto),
         K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
         B_delayed=ca.vertcat(m.B_delayed, still),
+        x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
     )

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Literal
 
-from gbid.arrays import IntArray
+from gbid.arrays import BoolArray, IntArray
 from gbid.discretise import Hold
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import FitData, Record
@@ -87,12 +88,14 @@ def assemble(
     window: int | None,
     engine: EngineName,
     disturbances: Disturbances = UNDISTURBED,
+    released: BoolArray | None = None,
     ties: Ties | None = None,
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
 
     The parameters are those of `gbid.fit`. Its starts, bounds and fixed values are in `parameters` and `begin`. With
     `ties`, parameters of the structure are linear in further, shared unknowns. These are then the first of `free`.
+    `released` (n_records, n) marks the initial states that are functions of the parameters.
 
     Raises
     ------
@@ -101,14 +104,23 @@ def assemble(
     """
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
 
-    def predictor_for(kind: Focus) -> Predictor:
+    @cache
+    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> Predictor:
         built = build_predictor(
-            structure, held, data.sample_time, intersample, kind, disturbances=disturbances, horizon=horizon
+            structure,
+            held,
+            data.sample_time,
+            intersample,
+            kind,
+            disturbances=disturbances,
+            horizon=horizon,
+            released=released,
         )
         known = {q.name: q for q in parameters}
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
-    predictor = predictor_for(focus)
+    own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
+    predictor = predictor_for(focus, own_released[0])
     _check_channels(structure, predictor, data)
     always: Scope = "recording"
     scopes = {**local, **dict.fromkeys((term.name for term in disturbances.terms), always)}
@@ -132,12 +144,10 @@ def assemble(
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
-    gap_predictor = predictor_for("simulation") if any(p.is_gap for record in segments for p in record) else None
-
     builder = GroupBuilder(window, begin, engine)
     for i, (names, record) in enumerate(zip(record_names, segments, strict=True)):
         for segment in record:
-            chosen = gap_predictor if segment.is_gap and gap_predictor is not None else predictor
+            chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i])
             if ties is None:
                 builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), segment.segment)
             else:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import inf
-from typing import Literal
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from gbid.identify.nlp.record_group import Prior
 from gbid.identify.nlp.shooting import Criterion, Shooting
 from gbid.identify.nlp.stability import spectral_radius
 from gbid.identify.problem.assembly import Assembly
-
-InitialState = Literal["estimated", "zero"] | Sequence[float] | Mapping[str, Literal["zero"] | Sequence[float]]
+from gbid.identify.problem.initial_states import InitialStates
 
 
 def build_problem(
@@ -85,45 +83,19 @@ def build_problem(
 
 
 def unknown_bounds(
-    problem: Shooting, assembly: Assembly, initial_state: InitialState, recordings: Sequence[str] = ()
+    problem: Shooting, assembly: Assembly, states: InitialStates | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the scaled bounds of all unknowns; given initial states are fixed.
-
-    `recordings` are the names of the recordings, by which initial states can be given.
-
-    Raises
-    ------
-    UsageError
-        When the initial state is neither a known word nor a state, or a recording has none.
-    """
+    """Return the scaled bounds of all unknowns; given initial states are fixed, without `states` none is."""
     free = np.full((problem.n_windows, problem.n_states), inf)
-    lower = problem.pack(np.array([q.lower for q in assembly.free]), -free)
-    upper = problem.pack(np.array([q.upper for q in assembly.free]), free)
-    if isinstance(initial_state, str) and initial_state == "estimated":
-        return lower, upper
-    own = initial_state if isinstance(initial_state, Mapping) else dict.fromkeys(recordings, initial_state)
-    if set(own) != set(recordings):
-        wrong = ", ".join(sorted(set(own) ^ set(recordings)))
-        raise UsageError(f"initial_state: give one for each recording of the fit and for no other; wrong: {wrong}")
-    n = assembly.n_states
-    for name, window in zip(recordings, assembly.record_window, strict=True):
-        first = problem.n_theta + int(window) * problem.n_states
-        place = slice(first, first + n)
-        lower[place] = upper[place] = _known_state(own[name], n) / problem.state_scale[:n]
+    lowest, highest = -free, free
+    if states is not None:
+        n, fixed = assembly.n_states, ~np.isnan(states.shooting)
+        for window, values, held in zip(assembly.record_window, states.shooting, fixed, strict=True):
+            for side in (lowest, highest):
+                side[window, :n][held] = values[held]
+    lower = problem.pack(np.array([q.lower for q in assembly.free]), lowest)
+    upper = problem.pack(np.array([q.upper for q in assembly.free]), highest)
     return lower, upper
-
-
-def _known_state(state: str | Sequence[float], n: int) -> FloatArray:
-    if isinstance(state, str):
-        if state != "zero":
-            raise UsageError(f"initial_state = {state!r}; choose 'estimated', 'zero' or give the state")
-        return np.zeros(n)
-    given = np.asarray(state, float)
-    if given.shape != (n,):
-        raise UsageError(f"initial_state has shape {given.shape}; the structure has {n} states")
-    if not np.isfinite(given).all():
-        raise UsageError(f"initial_state = {state}; it must be finite")
-    return given
 
 
 def window_length(problem: Shooting) -> int:

@@ -20,7 +20,7 @@ def without_inputs(structure: Structure) -> Structure:
 
     def matrices(p: Any) -> Mapping[str, Any]:
         own = structure.matrices(p)
-        return {letter: own[letter] for letter in ("A", "C", "K") if letter in own}
+        return {letter: own[letter] for letter in ("A", "C", "K", "x0") if letter in own}
 
     return LinearStructure(
         structure.name, structure.parameters, matrices, (), structure.outputs, intersample=structure.intersample
@@ -63,7 +63,7 @@ def check_inputs_suffice(
     else:
         return  # another check reports the number of inputs
     driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
-    acting = [m.A, m.C, m.K, m.B[:, driven], m.D[:, driven], m.B_delayed[:, driven]]
+    acting = [m.A, m.C, m.K, m.x0, m.B[:, driven], m.D[:, driven], m.B_delayed[:, driven]]
     acting += [m.delay[moving, :]] if m.has_delay else []
     dark = _names(m) - _names(acting)
     lost = [q.name for q in parameters if not q.fixed and q.name in dark]

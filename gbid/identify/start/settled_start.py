@@ -86,7 +86,7 @@ def _fitted(
         engine=engine,
     )
     problem, unknowns = build_problem(assembly, data, "trace", weights, full_start(assembly, values), {}, True)
-    lower, upper = unknown_bounds(problem, assembly, "estimated")
+    lower, upper = unknown_bounds(problem, assembly)
     solution = solve(problem, np.clip(unknowns, lower, upper), lower, upper, max_iterations=_MOST)
     theta, _ = problem.unpack(solution.unknowns)
     if not np.isfinite(theta).all():

@@ -66,7 +66,7 @@ class WindowedRecord(NamedTuple):
 
 
 def windowed_records(
-    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, *, initial_known: bool
+    problem: Shooting, theta: FloatArray, starts: FloatArray, record_window: IntArray, *, known_starts: BoolArray
 ) -> Iterator[WindowedRecord]:
     """Yield the sensitivities of each record.
 
@@ -80,8 +80,8 @@ def windowed_records(
         Initial states of the windows, with all gaps closed.
     record_window : (n_records,) integer array
         First window of each record.
-    initial_known : bool
-        Whether initial states were given instead of estimated.
+    known_starts : (n_records, n) boolean array
+        Initial states that were given instead of estimated.
     """
     n, n_p = problem.n_states, problem.n_theta
     slopes = [
@@ -91,7 +91,7 @@ def windowed_records(
         )
     ]
     following = {int(a): int(b) for a, b in problem.links}
-    for first in record_window:
+    for first, known in zip(record_window, known_starts, strict=True):
         chain = [int(first)]
         while chain[-1] in following:
             chain.append(following[chain[-1]])
@@ -101,7 +101,7 @@ def windowed_records(
             own = slopes[k].end[window - problem.first_window[k]]
             ends[i][:, problem.parts[k].index] = own[:, :-n]
             ends[i][:, n_p:] = own[:, -n:]
-        along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, initial_known)
+        along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, known)
         psi, errors, counted = [], [], []
         for k, window, T in zip(parts, chain, along, strict=True):
             own, at = slopes[k], window - problem.first_window[k]
@@ -154,10 +154,11 @@ def window_slopes(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Win
     return WindowSlopes(psi, errors, used, size, end)
 
 
-def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, initial_known: bool) -> FloatArray:
+def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, known: BoolArray) -> FloatArray:
     """Return the derivatives of the window starts, (n_windows, n, n_p + n), that close the linearised gaps.
 
     `by_start` (n_windows - 1, n, n) and `by_theta` (n_windows - 1, n, n_p) are the derivatives of the windows' ends.
+    `known` (n,) tells which states of the first start do not move; their coordinates stay zero.
     """
     links, n = len(by_start), len(scale)
     n_p, size = by_theta.shape[2], (links + 1) * n
@@ -166,9 +167,10 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
         blocks[i][i], blocks[i][i + 1] = csc_array(-step), eye_array(n)
     right = (by_theta / scale[:, None]).reshape(-1, n_p)
     gaps = csc_array(bmat(blocks)) if links else csc_array((0, size))
-    if initial_known:
-        gaps = csc_array(bmat([[eye_array(n, size)], [gaps]])) if links else csc_array(eye_array(n, size))
-        right = np.vstack([np.zeros((n, n_p)), right])
+    if known.any():
+        still = csc_array(eye_array(n, size))[known]
+        gaps = csc_array(bmat([[still], [gaps]])) if links else csc_array(still)
+        right = np.vstack([np.zeros((int(known.sum()), n_p)), right])
     sides = np.zeros((size, 2 * n))  # a free trajectory is seen at the first window or, where it grows, at the last
     sides[:n, :n] = sides[-n:, n:] = np.eye(n)
     if gaps.shape[0]:
@@ -177,7 +179,8 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
         sides -= gaps.T @ factors.solve(np.asarray(gaps @ sides))
     else:
         following = np.zeros((size, n_p))
-    free = np.zeros((size, n)) if initial_known else np.linalg.svd(sides, full_matrices=False)[0][:, :n]
+    free = np.zeros((size, n))
+    free[:, ~known] = np.linalg.svd(sides, full_matrices=False)[0][:, : n - int(known.sum())]
     return np.asarray(np.hstack([following, free]).reshape(links + 1, n, n_p + n) * scale[:, None])
 
 
@@ -189,7 +192,7 @@ def information_by_windows(
     weight: FloatArray,
     shaped: FloatArray,
     *,
-    initial_known: bool,
+    known_starts: BoolArray,
 ) -> Information:
     """Return the information of all records, as `information_over_records` does, for an unstable model.
 
@@ -197,7 +200,7 @@ def information_by_windows(
 
     Parameters
     ----------
-    problem, theta, starts, record_window, initial_known
+    problem, theta, starts, record_window, known_starts
         As for `windowed_records`.
     weight, shaped : (n_y, n_y) array
         Weights of the errors for the two Hessians.
@@ -206,7 +209,7 @@ def information_by_windows(
     n_all = n_p + len(record_window) * n
     hessians = np.zeros((2, n_all, n_all))
     sensitivities = []
-    records = windowed_records(problem, theta, starts, record_window, initial_known=initial_known)
+    records = windowed_records(problem, theta, starts, record_window, known_starts=known_starts)
     for i, record in enumerate(records):
         columns = np.concatenate([np.arange(n_p), n_p + i * n + np.arange(n)])
         for total, W in zip(hessians, (weight, shaped), strict=True):

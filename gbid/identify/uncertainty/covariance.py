@@ -69,7 +69,7 @@ def covariance(
     error_products: FloatArray,
     held: BoolArray,
     *,
-    initial_known: bool = False,
+    known_starts: BoolArray | None = None,
     coloured: bool = False,
     bootstrap: Bootstrap | None = None,
 ) -> Covariance:
@@ -89,8 +89,8 @@ def covariance(
         Sum of the products of errors, ``sum e e'``.
     held : (n_p,) boolean array
         Parameters on a bound; they count as known, and their rows are zero.
-    initial_known : bool
-        Whether initial states were given instead of estimated.
+    known_starts : (n_records, n) boolean array, optional
+        Initial states that were given instead of estimated; by default none.
     coloured : bool
         Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
         residuals and the exact Hessian of the cost, which needs a pass for each parameter.
@@ -115,15 +115,14 @@ def covariance(
     n_p, modelled = problem.n_theta, coloured or bootstrap is not None
     n_all = n_p + len(record_window) * problem.n_states
     weight = problem.weight(error_products)
-    freedom = max(1.0, problem.n_samples - n_all / len(weight))
+    settled = np.zeros((len(record_window), problem.n_states), bool) if known_starts is None else known_starts
+    freedom = max(1.0, problem.n_samples - (n_all - int(settled.sum())) / len(weight))
     shaped = weight @ (error_products / freedom) @ weight
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
     if grows(problem, theta):
-        found = information_by_windows(
-            problem, theta, starts, record_window, weight, shaped, initial_known=initial_known
-        )
+        found = information_by_windows(problem, theta, starts, record_window, weight, shaped, known_starts=settled)
     else:
         found = information_over_records(
             problem, _BLOCK, theta, starts, record_window, weight, shaped=None if alike else shaped, observed=modelled
@@ -132,7 +131,7 @@ def covariance(
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
     known = np.concatenate([problem.prior.information * unit, np.zeros(n_all - n_p)])
-    keep = np.concatenate([~held, np.full(n_all - n_p, not initial_known)])
+    keep = np.concatenate([~held, ~settled.ravel()])
     kept = np.ix_(keep, keep)
     H = (found.hessian + np.diag(known))[kept]
     J_white = ((share * found.hessian if alike else found.shaped) + np.diag(known * unit))[kept]

@@ -94,7 +94,7 @@ def solve_for(
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
         prior = {q.name: (0.0, 1.0) for q in ties.own}
         problem, unknowns = build_problem(assembly, data, "trace", None, full, prior, scaling=True)
-        lower, upper = unknown_bounds(problem, assembly, "estimated")
+        lower, upper = unknown_bounds(problem, assembly)
         position = {q.name: i for i, q in enumerate(assembly.free)}
         places = [[position[names[key]] for key in local] for names in assembly.record_names]
         part_of = np.searchsorted(problem.first_window, assembly.record_window, side="right") - 1

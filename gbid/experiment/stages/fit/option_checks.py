@@ -8,6 +8,7 @@ from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.structures import fit_disturbances, output_labels, structure_or_none
+from gbid.identify.problem.initial_states import initial_states
 from gbid.structure import Matrices, Structure, symbolic_matrices
 
 
@@ -46,16 +47,24 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
                 ("fits", name, "output_weights"),
                 "are for criterion: trace; det weighs outputs by their errors",
             )
-        states = state.values() if isinstance(state, dict) else (state,)
-        for given in states:
+        wrong = False
+        for given in state.values() if isinstance(state, dict) else (state,):
             if not isinstance(given, str) and len(given) != matrices.A.shape[0]:
                 yield (
                     ("fits", name, "initial_state"),
                     f"{len(given)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
                 )
+                wrong = True
         used = {q.name for q in experiment.fit_recordings(name)}
         if isinstance(state, dict) and set(state) != used:
+            wrong = True
             yield ("fits", name, "initial_state"), f"give one for each recording of the fit: {', '.join(sorted(used))}"
+        if not wrong:
+            free = [q for q in structure.parameters if q.name not in section.fixed]
+            try:
+                initial_states(structure, free, state, sorted(used))
+            except GbidError as error:
+                yield ("fits", name, "initial_state"), str(error)
 
 
 def trends_are_of_outputs(experiment: Experiment) -> Found:

@@ -33,18 +33,39 @@ def _window(value: Any) -> Any:
     return value
 
 
-_STATE = {"type": "array", "items": {"type": "number"}, "minItems": 1}
+_STATE: dict[str, Any] = {
+    "anyOf": [
+        {"enum": ["estimated", "zero", "structure"]},
+        {
+            "type": "array",
+            "items": {"anyOf": [{"type": "number"}, {"enum": ["estimated", "structure"]}]},
+            "minItems": 1,
+        },
+    ]
+}
+
+
+OwnStateField = Literal["estimated", "zero", "structure"] | tuple[float | Literal["estimated", "structure"], ...]
 
 
 def _initial_state(value: Any) -> Any:
-    if isinstance(value, dict) and "estimated" not in value.values():
-        return {name: _initial_state(state) for name, state in value.items()}
-    if value in ("estimated", "zero"):
+    if isinstance(value, dict):
+        return {name: _own_state(state) for name, state in value.items()}
+    return value if value == "auto" else _own_state(value)
+
+
+def _own_state(value: Any) -> Any:
+    if value in ("estimated", "zero", "structure"):
         return value
-    numbers = value if isinstance(value, list | tuple) else ()
-    if not numbers or not all(type(v) in (int, float) and math.isfinite(v) for v in numbers):
-        raise ValueError(f"expected the word estimated or zero, or a list of numbers, found {value!r}")
-    return tuple(float(v) for v in numbers)
+    states = value if isinstance(value, list | tuple) else ()
+    if not states or not all(
+        v in ("estimated", "structure") or (type(v) in (int, float) and math.isfinite(v)) for v in states
+    ):
+        raise ValueError(
+            "expected the word estimated or zero, the word structure, or a list of numbers and of the words "
+            f"estimated and structure, found {value!r}"
+        )
+    return tuple(v if isinstance(v, str) else float(v) for v in states)
 
 
 def _start(value: Any) -> Any:
@@ -141,18 +162,10 @@ class FitSection(Section):
     ] = "none"
     hum: Annotated[tuple[Positive, ...], BeforeValidator(_one_or_several)] = ()
     initial_state: Annotated[
-        Literal["estimated", "zero"] | tuple[float, ...] | dict[Text, Literal["zero"] | tuple[float, ...]],
+        Literal["auto"] | OwnStateField | dict[Text, OwnStateField],
         BeforeValidator(_initial_state),
-        WithJsonSchema(
-            {
-                "anyOf": [
-                    {"enum": ["estimated", "zero"]},
-                    _STATE,
-                    {"type": "object", "additionalProperties": {"anyOf": [{"enum": ["zero"]}, _STATE]}},
-                ]
-            }
-        ),
-    ] = "estimated"
+        WithJsonSchema({"anyOf": [{"enum": ["auto"]}, _STATE, {"type": "object", "additionalProperties": _STATE}]}),
+    ] = "auto"
     left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(
         default_factory=dict
     )
