@@ -225,7 +225,7 @@ STRAY = ca.SX.sym("stray")
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1, 2]]}, r"C has shape \(1, 2\), expected \(1, 1\)"),
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1]], "D": [[1, 1]]}, r"D has shape \(1, 2\), expected \(1, 1\)"),
         (lambda p: {"A": [[0]], "B": [[1]], "C": [[1]], "K": [[1], [1]]}, r"K has shape \(2, 1\), expected \(1, 1\)"),
-        (lambda p: {"B": [[1]], "C": [[1]]}, "must give A, B, C and may give D, K, and B_delayed with delay; got B, C"),
+        (lambda p: {"B": [[1]], "C": [[1]]}, "B, D, K, x0, and B_delayed with delay; got B, C"),
         (lambda p: {}, "got nothing"),
         (lambda p: {**arm(p), "E": [[1]]}, "got A, B, C, E"),
         (lambda p: {**arm(p), "B": [[0], [STRAY]]}, "B contains symbols that are not parameters: stray"),
