@@ -38,7 +38,14 @@ def stated(monkeypatch, apart, rounding):
     held = np.zeros(2, bool)
     products = errors.T @ errors
     return module.covariance(
-        problem, np.ones(2), np.zeros((1, 1)), np.array([0]), products, held, initial_known=True, coloured=True
+        problem,
+        np.ones(2),
+        np.zeros((1, 1)),
+        np.array([0]),
+        products,
+        held,
+        known_starts=np.ones((1, 1), bool),
+        coloured=True,
     )
 
 
