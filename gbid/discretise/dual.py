@@ -71,7 +71,13 @@ class Dual:
         return Dual(self.value / number, self.slope / number)
 
     def rows(self, index: slice) -> Dual:
-        """Return some rows, as an array indexed by ``[index]``."""
+        """Return some rows, as an array indexed by ``[index]``.
+
+        Parameters
+        ----------
+        index : slice
+            Rows of the value.
+        """
         return Dual(self.value[index], self.slope[:, index])
 
     def columns(self, index: Any) -> Dual:

@@ -230,7 +230,7 @@ def test_worst_figures_are_those_of_the_assessment():
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ("{p: {structure: Q}}", ("controller.p.structure", "there is P, PD, biquad")),
+        ("{p: {structure: Q}}", ("controller.p.structure", "there is P, PD, PI, PID, PPF, biquad")),
         ("{p: {structur: P}}", ("controller.p.structur", "did you mean 'structure'")),
         ("{p: {structure: 'a.py:b'}}", ("controller.p.structure", "no file")),
         ("{p: {model: lpv}}", ("controller.p.model", "no section 'lpv'")),

@@ -576,8 +576,9 @@ def test_wrong_use_is_refused_in_one_line(what):
     assert "\n" not in str(caught.value)
 
 
-def test_a_structure_of_ones_own_must_state_its_starts():
-    with pytest.raises(UsageError, match="structure 'every': no start value for a, w, b, c, d, k"):
+def test_a_structure_of_ones_own_states_its_starts_or_has_long_recordings():
+    """They come from the data, if the recording is long enough for that."""
+    with pytest.raises(DataError, match=r"50 samples are too few for a black-box model.* or give start values"):
         fit(EVERY, Recording({"u": levels(50, 2), "y": levels(50, 2, seed=1)}, H))
 
 

@@ -123,7 +123,7 @@ def test_an_outlier_of_one_output_does_not_spoil_the_other(tmp_path):
     result = fit(EVERY, bad, start=EVERY_AT, focus="simulation", robust="huber", left_out={"data": [(300, 320)]})
     plain = fit(EVERY, bad, start=EVERY_AT, focus="simulation")
     for name in "awbcd":
-        assert abs(result.parameters[name] - EVERY_AT[name]) < 4 * result.std[name] < 6 * clean.std[name]
+        assert abs(result.parameters[name] - EVERY_AT[name]) < 4 * result.std[name] < 7 * clean.std[name]
     assert any("robust loss" in note for note in result.notes)
     np.testing.assert_allclose(result.error_covariance[0, 0], plain.error_covariance[0, 0], rtol=0.1)
     gbid.save_fit(result, tmp_path / "fit.h5")

@@ -10,6 +10,7 @@ from matio.utils.matclass import MatlabObject, MatlabOpaque
 
 from gbid.errors import DataError
 from gbid.recording import import_recording
+from gbid.recording.importers import importing
 
 N, H = 50, 0.01
 T = H * np.arange(N)[:, None]
@@ -136,6 +137,7 @@ def test_a_damaged_object_is_named(tmp_path, monkeypatch):
         raise ValueError("unknown subsystem")
 
     monkeypatch.setattr("matio.load_from_mat", fails)
+    monkeypatch.setattr(importing, "read_apart", lambda read, *arguments: read(*arguments))  # see it in this process
     text = refused(path, "data.InputData[0]")
     assert "not a readable MATLAB file at data (iddata)" in text
     assert f"unknown subsystem; {PLAIN}" in text

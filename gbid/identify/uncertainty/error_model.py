@@ -108,11 +108,18 @@ def error_model(products: FloatArray, count: int) -> ErrorModel:
     ErrorModel
         The model. The residuals of a single output are used in both directions of time.
 
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        When the sums are not finite.
+
     Notes
     -----
     One Cholesky factor gives all orders (Luetkepohl, New Introduction to Multiple Time Series Analysis, Secs. 3.2 and
     4.3; Hurvich and Tsai, 1989, for the criterion).
     """
+    if not np.isfinite(products).all():  # residuals so large that their squares overflow
+        raise np.linalg.LinAlgError("the residuals overflow")
     longest, n_y = len(products) - 1, products.shape[2]
     if n_y == 1:
         products = (products + products[::-1, ::-1]) / 2

@@ -119,12 +119,13 @@ def _process(_owner: int) -> ReaderProcess:  # a forked process has another numb
 
 
 def _started() -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+    # Arrow would reserve a gigabyte of addresses, which counts as memory.
+    own = {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1", "ARROW_DEFAULT_MEMORY_POOL": "system"}
     child = subprocess.Popen(
         [sys.executable, "-c", _START],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
-        env=environment,
+        env={**os.environ, **own},
         start_new_session=True,  # Ctrl-C is for the process that waits
     )
     if child.stdout is not None:
