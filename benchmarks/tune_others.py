@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from time import process_time
 from typing import Any
 
-import cma
 import numpy as np
 from scipy.optimize import differential_evolution, minimize
 
@@ -84,6 +83,8 @@ def _middle(low: FloatArray, high: FloatArray, seed: int) -> FloatArray:
 
 
 def _evolution_strategy(function: Limited, low: FloatArray, high: FloatArray, seed: int) -> None:
+    import cma  # here, so that the stored figures are shown where it is not installed
+
     options = {"bounds": [list(low), list(high)], "verbose": -9, "seed": seed + 1, "CMA_stds": list(high - low)}
     strategy = cma.CMAEvolutionStrategy(_middle(low, high, seed), 0.2, options)
     while not strategy.stop():
