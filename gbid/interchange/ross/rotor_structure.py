@@ -36,11 +36,11 @@ def from_ross(
     ----------
     rotor : ross.Rotor
         Shaft, discs and bearings. The coefficients of the unknown bearings in it are the start values.
-    sensors : sequence of (node, axis) or ross.Probe
-        Positions that are measured, one for each output channel. The axis is ``"x"``, ``"y"`` or an angle from x to y
-        [rad].
-    actuators : sequence of (node, axis)
-        Forces that are known, one for each input channel.
+    sensors : sequence of (int, str) or ross.Probe
+        Node and axis of each position that is measured, one for each output channel. The axis is ``"x"``, ``"y"`` or
+        an angle from x to y [rad].
+    actuators : sequence of (int, str)
+        Node and axis of each force that is known, one for each input channel.
     bearings : dict of str to (int or str), sequence of str, optional
         Bearings whose coefficients are unknown: tags of bearing elements, or names with the tag or node of each,
         ``{"left": 0, "right": 6}``. The names end the names of the parameters. All bearings when not given. Bearings
