@@ -43,6 +43,14 @@ def inside(value: float, bounds: tuple[float, float]) -> float:
     return min(max(value, bounds[0]), bounds[1])
 
 
+def pole_gains(frequency_khz: tuple[float, float], damping: tuple[float, float]) -> tuple[AxisGain, AxisGain]:
+    """Return the gains of a pair of poles: its frequency [kHz] and its damping factor, within their bounds."""
+    return (
+        AxisGain("frequency", inside(0.15, frequency_khz), *frequency_khz, "kHz"),
+        AxisGain("damping", inside(0.7, damping), *damping, ""),
+    )
+
+
 @dataclass(frozen=True)
 class PerAxis(ABC):
     """Base class of the built-in structures: one filter per axis in series with a low-pass.

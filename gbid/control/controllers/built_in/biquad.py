@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
+from gbid.control.controllers.per_axis import AxisGain, PerAxis, pole_gains
 from gbid.control.controllers.sections import in_series, second_order
 
 
@@ -47,8 +47,7 @@ class BiquadStructure(PerAxis):
         limit = self.gain_limit
         return (
             *(AxisGain(f"b{i}", 0.0, -limit, limit, "m/m") for i in range(3)),
-            AxisGain("frequency", inside(0.15, self.frequency_khz), *self.frequency_khz, "kHz"),
-            AxisGain("damping", inside(0.7, self.damping), *self.damping, ""),
+            *pole_gains(self.frequency_khz, self.damping),
         )
 
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:

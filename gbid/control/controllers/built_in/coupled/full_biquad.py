@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gbid.control.controllers.crossed import Crossed
-from gbid.control.controllers.per_axis import AxisGain, inside
+from gbid.control.controllers.per_axis import AxisGain, pole_gains
 from gbid.control.controllers.sections import in_series, second_order
 
 
@@ -42,10 +42,7 @@ class FullBiquadStructure(Crossed):
         self._check_ranges("frequency_khz", "damping")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
-        return (
-            AxisGain("frequency", inside(0.15, self.frequency_khz), *self.frequency_khz, "kHz"),
-            AxisGain("damping", inside(0.7, self.damping), *self.damping, ""),
-        )
+        return pole_gains(self.frequency_khz, self.damping)
 
     def _crossed_gains(self) -> tuple[AxisGain, ...]:
         return tuple(AxisGain(f"b{i}", 0.0, -self.gain_limit, self.gain_limit, "m/m") for i in range(3))

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside
+from gbid.control.controllers.per_axis import AxisGain, PerAxis, inside, pole_gains
 from gbid.control.controllers.sections import in_series, second_order
 
 
@@ -44,8 +44,7 @@ class PPFStructure(PerAxis):
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (
             AxisGain("kappa", inside(0.0, (self.lower, self.upper)), self.lower, self.upper, "m/m"),
-            AxisGain("frequency", inside(0.15, self.frequency_khz), *self.frequency_khz, "kHz"),
-            AxisGain("damping", inside(0.7, self.damping), *self.damping, ""),
+            *pole_gains(self.frequency_khz, self.damping),
         )
 
     def _filter(self, gain: Mapping[str, Any], lowpass: tuple[Any, ...]) -> tuple[Any, Any, Any, Any]:
