@@ -28,16 +28,7 @@ def read_csv(path: Path, references: Sequence[str]) -> dict[str, FileColumn]:
         missing or occurs twice, or when a cell of a requested column is not a number.
     """
     lines = _lines(path)
-    if len(lines) < 2:
-        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines")
-    delimiter = _delimiter(lines)
-    try:
-        reader = csv.reader((text for _, text in lines), delimiter=delimiter, skipinitialspace=True, strict=True)
-        header, *rows = reader
-    except csv.Error as error:
-        raise DataError(f"{path}: line {lines[reader.line_num - 1][0]}: not readable as csv: {error}") from None
-    header = [cell.strip() for cell in header]
-    _check_header(path, header)
+    header, rows = _cells(path, lines)
     for (number, _), row in zip(lines[1:], rows, strict=False):
         if len(row) != len(header):
             raise DataError(f"{path}: line {number} has {len(row)} cells, the header line has {len(header)}")
@@ -99,17 +90,7 @@ def csv_channels(path: Path) -> list[FileChannel]:
     DataError
         When the file is not UTF-8 text, or when it has no header line or no rows.
     """
-    lines = _lines(path)
-    if len(lines) < 2:
-        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines")
-    try:
-        header, *rows = csv.reader(
-            (text for _, text in lines), delimiter=_delimiter(lines), skipinitialspace=True, strict=True
-        )
-    except csv.Error as error:
-        raise DataError(f"{path}: not readable as csv: {error}") from None
-    header = [cell.strip() for cell in header]
-    _check_header(path, header)
+    header, rows = _cells(path, _lines(path))
     names = [name_and_unit(cell)[0] for cell in header]
     channels = []
     for i, heading in enumerate(header):
@@ -131,6 +112,21 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     text = text.replace("\r\n", "\n").replace("\r", "\n")
     numbered = enumerate(text.split("\n"), start=1)
     return [(number, line) for number, line in numbered if line.strip() and not line.lstrip().startswith("#")]
+
+
+def _cells(path: Path, lines: list[tuple[int, str]]) -> tuple[list[str], list[list[str]]]:
+    """Return the cells of the header line and of the rows."""
+    if len(lines) < 2:
+        raise DataError(f"{path}: expected a header line and rows of numbers, found {len(lines)} lines")
+    delimiter = _delimiter(lines)
+    try:
+        reader = csv.reader((text for _, text in lines), delimiter=delimiter, skipinitialspace=True, strict=True)
+        header, *rows = reader
+    except csv.Error as error:
+        raise DataError(f"{path}: line {lines[reader.line_num - 1][0]}: not readable as csv: {error}") from None
+    header = [cell.strip() for cell in header]
+    _check_header(path, header)
+    return header, rows
 
 
 def _delimiter(lines: list[tuple[int, str]]) -> str:
