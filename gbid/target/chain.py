@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -140,13 +140,3 @@ class Chain:
             "options": asdict(self.options),
         }
         return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()
-
-    def with_options(self, options: ChainOptions) -> Chain:
-        """Return the chain with other options.
-
-        Parameters
-        ----------
-        options : ChainOptions
-            The options.
-        """
-        return replace(self, options=options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.curves.bode import LEVEL, Bode, bode, default_grid
 from gbid.identify.curves.measured_response import MeasuredResponse
+from gbid.identify.curves.uncertain_model import UncertainModel
 from gbid.report.figures.canvas import GREY, TWO_COLUMNS, legend_above, panels, series, styled
 from gbid.report.figures.model.frequency_axis import frequency_axis
 from gbid.report.figures.model.sources import Sources, labelled
@@ -46,8 +48,13 @@ def bode_data(sources: Sources, frequency_hz: npt.ArrayLike | None = None) -> di
     """
     models = labelled(sources)
     if frequency_hz is None:
-        frequency_hz = np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
+        frequency_hz = _common_grid(models)
     return {label: bode(model, frequency_hz) for label, model in models.items()}
+
+
+def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
+    """Return frequencies that show the poles of all models [Hz]."""
+    return np.unique(np.concatenate([default_grid(m.model) for m in models.values()]))
 
 
 @styled
@@ -86,7 +93,7 @@ def plot_bode(
         When there are too few axes, or when the measurement has other channels than the models.
     """
     if frequency_hz is None and measured is not None:
-        grid = np.unique(np.concatenate([default_grid(m.model) for m in labelled(sources).values()]))
+        grid = _common_grid(labelled(sources))
         low, high = measured.frequency_hz[[0, -1]]
         frequency_hz = np.unique(np.concatenate([grid[(grid > low) & (grid < high)], [low, high]]))
     curves = bode_data(sources, frequency_hz)
