@@ -1,46 +1,31 @@
 """The cache of compiled libraries: whose it is, whether it is whole, and compilers that fail or hang."""
 
-import ctypes
 import os
-import shutil
 import stat
 import subprocess
 import sys
 import time
 
 import pytest
+from compilers import NEEDS_COMPILER, SOURCE, forget_libraries, value_of
 from filelock import FileLock
 
 from gbid.compiling import CompilerMissingError, compiler, library, load_library
 
-COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
 needs_owners = pytest.mark.skipif(not hasattr(os, "getuid"), reason="files have no owners on this system")
-SOURCE = "double gbid_test_{name}(void) {{ return {value}; }}\n"
 
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
     """A cache folder that nothing was loaded from."""
-    forget()
+    forget_libraries()
     monkeypatch.setenv("GBID_CACHE_DIR", str(tmp_path / "cache"))
     yield tmp_path / "cache"
     monkeypatch.undo()
-    forget()
+    forget_libraries()
 
 
-def forget():
-    for function in (load_library, compiler.find_compiler):
-        function.cache_clear()
-
-
-def value_of(loaded, name):
-    function = getattr(loaded, f"gbid_test_{name}")
-    function.restype = ctypes.c_double
-    return function()
-
-
-@needs_compiler
+@NEEDS_COMPILER
 @needs_owners
 def test_a_folder_that_others_may_write_to_is_not_used(folder):
     source = SOURCE.format(name="shared", value=2.5)
@@ -57,7 +42,7 @@ def test_a_folder_that_others_may_write_to_is_not_used(folder):
     assert "chmod go-w" in loaded.note
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @needs_owners
 def test_a_library_that_others_may_write_to_is_built_anew(folder):
     source = SOURCE.format(name="open", value=2.5)
@@ -71,7 +56,7 @@ def test_a_library_that_others_may_write_to_is_built_anew(folder):
     assert not built.stat().st_mode & (stat.S_IWGRP | stat.S_IWOTH)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_any_flipped_bit_of_a_library_is_noticed_before_it_is_loaded(folder, tmp_path):
     source = SOURCE.format(name="flip", value=4.5)
     load_library(source)
@@ -89,7 +74,7 @@ def test_any_flipped_bit_of_a_library_is_noticed_before_it_is_loaded(folder, tmp
         assert (other / built.name).read_bytes()[40:2000] == whole[40:2000]
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_a_lock_that_is_held_is_told_and_gone_round(folder, monkeypatch):
     source = SOURCE.format(name="held", value=1.5)
     load_library(source)
@@ -134,7 +119,7 @@ def test_an_open_quotation_mark_in_the_name_of_the_compiler_is_told(folder, monk
         load_library(SOURCE.format(name="quote", value=1.0))
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_interrupting_the_compiler_leaves_nothing_behind(folder, tmp_path):
     """Ctrl-C while it compiles: the compiler ends with the process, and the cache has no file of it."""
     marker = f"sleep 32.{os.getpid()}"

@@ -1,9 +1,7 @@
 """The compiled pass against the numpy one, its cache, and machines without a compiler."""
 
-import ctypes
 import multiprocessing
 import os
-import shutil
 import stat
 import subprocess
 import sys
@@ -12,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from compilers import COMPILER, NEEDS_COMPILER, SOURCE, forget_libraries, value_of
 from fit_cases import (
     ACTUATORS,
     EVERY,
@@ -28,7 +27,7 @@ from fit_cases import (
 from places import SUPPORT
 
 from gbid import compiling
-from gbid.compiling import compiler, library
+from gbid.compiling import library
 from gbid.errors import UsageError
 from gbid.identify import fit
 from gbid.identify.disturbances.disturbances import Disturbances, Trend
@@ -39,9 +38,6 @@ from gbid.identify.kernel.source import kernel_source
 from gbid.identify.kernel.sweep import block_sums, powers_of, starts_of_blocks, sweep
 from gbid.identify.predictor import build_predictor
 from gbid.structure import PiezoPair, Plant, RotorBearing
-
-COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
-needs_compiler = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
 
 GAINS = {"bd_xx": 3e4, "bd_xy": -4e3, "bd_yx": 2e3, "bd_yy": 5e4}
 
@@ -55,13 +51,10 @@ def cache(tmp_path_factory):
 @pytest.fixture
 def fresh(monkeypatch):
     """Forget what this process has loaded, before and after."""
-    caches = (compiling.load_library, compiler.find_compiler)
-    for function in caches:
-        function.cache_clear()
+    forget_libraries()
     yield monkeypatch
     monkeypatch.undo()
-    for function in caches:
-        function.cache_clear()
+    forget_libraries()
 
 
 # ---- one result, two engines ----
@@ -126,7 +119,7 @@ def assert_same_sums(found, expected, rtol=1e-10):
         assert not wrong.any(), f"{name}: {np.abs(a - b)[wrong][:3]} of {size[wrong][:3]}"
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("case", CASES)
 def test_the_compiled_pass_is_the_numpy_pass(case, fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
@@ -153,7 +146,7 @@ SHAPES = {
 }
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("case", ["every", "one output"])
 def test_shapes_of_windows(case, shape, fresh, cache):
@@ -171,7 +164,7 @@ def test_shapes_of_windows(case, shape, fresh, cache):
     assert_same_sums(a, b)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("case", ["every", "one output", "plant"])
 def test_the_compiled_adjoint_is_the_numpy_one(case, shape, fresh, cache):
@@ -212,7 +205,7 @@ def test_left_out_samples_do_not_count():
     assert_same_sums(after, before, 1e-15)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_an_entry_that_was_zero_at_first_is_not_forgotten(fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, blocks, starts, weight = problem("every", (100,), 20)
@@ -240,7 +233,7 @@ def test_patterns():
     assert kernel_source(none) != kernel_source(full)
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_groups_of_another_width_are_refused(fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, _, _, weight = problem("every")
@@ -252,7 +245,7 @@ def test_groups_of_another_width_are_refused(fresh, cache):
         sweep(v, blocks, starts, weight, CompiledEngine([v]))
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("focus", ["prediction", "simulation"])
 def test_both_engines_fit_alike(focus, fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
@@ -268,16 +261,8 @@ def test_both_engines_fit_alike(focus, fresh, cache):
 
 # ---- the cache ----
 
-SOURCE = "double gbid_test_{name}(void) {{ return {value}; }}\n"
 
-
-def value_of(library, name):
-    function = getattr(library, f"gbid_test_{name}")
-    function.restype = ctypes.c_double
-    return function()
-
-
-@needs_compiler
+@NEEDS_COMPILER
 def test_the_second_load_does_not_compile(fresh, tmp_path):
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path / "new" / "folder"))
     source = SOURCE.format(name="twice", value=2.5)
@@ -296,7 +281,7 @@ def test_the_second_load_does_not_compile(fresh, tmp_path):
         compiling.load_library(SOURCE.format(name="twice", value=3.5))
 
 
-@needs_compiler
+@NEEDS_COMPILER
 @pytest.mark.parametrize("damage", [b"", b"no library at all", None])
 def test_a_damaged_library_is_built_anew(fresh, tmp_path, damage):
     fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
@@ -328,7 +313,7 @@ def _load_in_a_process(folder, source, log, ready, results):
     results.put(value_of(compiling.load_library(source), "race"))
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_two_processes_at_once_compile_once(tmp_path):
     context = multiprocessing.get_context("spawn")
     ready, results = context.Barrier(2), context.Queue()
@@ -345,7 +330,7 @@ def test_two_processes_at_once_compile_once(tmp_path):
     assert len(list((tmp_path / "cache").glob("*.so"))) == 1
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
     fresh.delenv("GBID_CACHE_DIR", raising=False)
     fresh.setenv("XDG_CACHE_HOME", str(tmp_path))
@@ -426,7 +411,7 @@ print(result.options.engine, (smallest * 1.0).tolist() == [5e-324, 1e-310], 5e-3
 """
 
 
-@needs_compiler
+@NEEDS_COMPILER
 def test_loading_a_kernel_leaves_small_numbers_alone(tmp_path):
     """A library linked for fast mathematics would make the process flush subnormal numbers to zero."""
     script = SUBNORMAL.format(tests=str(SUPPORT))

@@ -1,6 +1,5 @@
 """Readers in a process of their own: crashes, hangs, memory, and files that make libraries do that."""
 
-import os
 import subprocess
 import sys
 import time
@@ -10,6 +9,7 @@ import bad_readers
 import h5py
 import numpy as np
 import pytest
+from campaign_files import alive
 
 import gbid
 from gbid.errors import DataError, UsageError
@@ -73,9 +73,7 @@ def test_the_process_ends_with_the_one_that_asked(tmp_path):
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
     number = int(ended.stdout)
     for _ in range(100):
-        try:
-            os.kill(number, 0)
-        except ProcessLookupError:
+        if not alive(number):
             return
         time.sleep(0.05)
     pytest.fail(f"process {number} is still there")

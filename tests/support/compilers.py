@@ -1,0 +1,26 @@
+"""The C compiler of this machine, and small libraries to compile."""
+
+import ctypes
+import os
+import shutil
+
+import pytest
+
+from gbid.compiling import compiler, load_library
+
+COMPILER = shutil.which(os.environ.get("CC", "cc").split()[0]) or shutil.which("gcc") or shutil.which("clang")
+NEEDS_COMPILER = pytest.mark.skipif(COMPILER is None, reason="no C compiler on this machine")
+SOURCE = "double gbid_test_{name}(void) {{ return {value}; }}\n"
+
+
+def value_of(library, name):
+    """What the function of a library from `SOURCE` returns."""
+    function = getattr(library, f"gbid_test_{name}")
+    function.restype = ctypes.c_double
+    return function()
+
+
+def forget_libraries():
+    """Forget what this process has loaded, as another process would begin."""
+    for function in (load_library, compiler.find_compiler):
+        function.cache_clear()
