@@ -21,6 +21,7 @@ from gbid.cosimulation.equations import Delay, UnitEquations, unit_equations
 from gbid.cosimulation.model_description import UnitVariable, model_description, unit_variables
 from gbid.errors import UsageError
 from gbid.lpv import Domain, LPVModel
+from gbid.naming.paths import given_path
 
 HISTORY = 1024
 """Number of references that a unit remembers for its delays."""
@@ -89,7 +90,7 @@ def save_fmu(
     pieces that end where a delayed reference changes, so that its steps need not fit the delays. FMI 2.0.4: modelica
     association, Functional Mock-up Interface for Model Exchange and Co-Simulation.
     """
-    path = Path(path)
+    path = given_path(path)
     identifier = path.stem
     if path.suffix != ".fmu" or not (identifier.isidentifier() and identifier.isascii()):
         raise UsageError(f"{path}: give a file whose name is a C identifier and ends in .fmu")

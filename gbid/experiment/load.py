@@ -14,6 +14,7 @@ from gbid.experiment.checks import find_experiment_problems
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
 from gbid.experiment.schema import ExperimentFile
+from gbid.naming.paths import given_path
 from gbid.yaml_file import read_yaml
 
 
@@ -37,7 +38,7 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
     ExperimentError
         With all problems at once, each with file, line, column, key and what to do.
     """
-    path = Path(path)
+    path = given_path(path)
     try:
         file = read_yaml(path)
     except UsageError as error:

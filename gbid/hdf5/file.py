@@ -16,6 +16,7 @@ from gbid.atomic import atomic_path
 from gbid.checksum import has_valid_checksum, with_checksum
 from gbid.errors import DataError
 from gbid.hdf5.entries import DamagedError
+from gbid.naming.paths import given_path
 
 _CHECKSUM = "checksum"  # attribute of the root: such a file ends with its checksum
 
@@ -58,7 +59,7 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
     overwrite : bool
         Whether an existing file may be replaced.
     """
-    with atomic_path(Path(path), overwrite) as part, _through_memory(part, "w") as file:
+    with atomic_path(given_path(path), overwrite) as part, _through_memory(part, "w") as file:
         file.attrs["gbid_kind"] = kind.name
         file.attrs["schema_version"] = kind.schema_version
         file.attrs["creator"] = f"gbid {__version__}"
@@ -102,7 +103,7 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
         of its bytes; files of gbid 0.1 have none. Also when an entry that the context reads is missing, of the wrong
         type or shape, or contradicts another.
     """
-    path = Path(path)
+    path = given_path(path)
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")

@@ -149,7 +149,7 @@ def fit(
     engine : {"auto", "compiled", "numpy"}
         Engine of the pass over the samples; "auto" compiles it if there is a C compiler.
     progress : callable, optional
-        Function that is called with a `Progress` at each iteration.
+        Function that is called with a `Progress` at each iteration. What it raises ends the fit, and is raised again.
 
     Returns
     -------

@@ -118,10 +118,13 @@ def fit_multistart(
     Raises
     ------
     UsageError
-        When there is less than one start or a parameter has no start value, and for the errors of `fit`.
+        When `starts` is no whole number of at least 1, `reach` is not finite and positive, or a parameter has no start
+        value, and for the errors of `fit`.
     """
-    if starts < 1 or reach <= 0:
-        raise UsageError(f"starts = {starts} must be at least 1 and reach = {reach} positive")
+    if not isinstance(starts, int | np.integer) or starts < 1:
+        raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
+    if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
+        raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
     first = fit(structure, recordings, **options)
     results = [first]
     if starts > 1 and "data" not in first.start_origin.values():

@@ -16,6 +16,7 @@ from gbid.interchange.mat_file import Exportable
 from gbid.lpv import LPVModel
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model_file import SI_UNITS
+from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS, LinearModel
 from gbid.tables.csv import write_csv
 from gbid.tables.table import Table, Value, plain_table
@@ -55,7 +56,7 @@ def save_csv(
     DataError
         When the file cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     if frequency_hz is not None:
         if isinstance(what, LPVModel):
             raise UsageError(

@@ -18,6 +18,7 @@ from gbid.interchange.m_file import linear_function, lpv_function
 from gbid.lpv import LPVModel
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model_file import SI_UNITS
+from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS, LinearModel
 
 Exportable = LinearModel | FitResult | LPVModel
@@ -60,7 +61,7 @@ def save_mat(
     DataError
         When the files cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     if path.suffix != ".mat":
         raise UsageError(f"{path}: a MATLAB data file ends in .mat")
     name, function = path.stem, path.with_suffix(".m")

@@ -10,6 +10,7 @@ from gbid.atomic import atomic_path
 from gbid.identify import FitResult
 from gbid.interchange.mat_file import Exportable
 from gbid.lpv import LPVModel, save_model
+from gbid.naming.paths import given_path
 from gbid.structure import LinearModel
 from gbid.yaml_file import write_yaml
 
@@ -40,7 +41,7 @@ def save_yaml(what: Exportable, path: str | Path, *, overwrite: bool = False) ->
     DataError
         When the file cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     if isinstance(what, LPVModel):
         save_model(what, path, overwrite)
         return path

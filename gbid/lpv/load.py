@@ -11,6 +11,7 @@ from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS
 from gbid.lpv.model import LPVModel
 from gbid.lpv.model_file import SCHEMA_VERSION, SI_UNITS, parse
+from gbid.naming.paths import given_path
 from gbid.share import share_folder
 from gbid.yaml_file import read_yaml, write_yaml
 
@@ -40,7 +41,7 @@ def load_model(name_or_path: str | Path) -> LPVModel:
     >>> [round(frequency, 1) for frequency, damping in model.at(6, 0).modes()]
     [126.6, 132.1]
     """
-    path = Path(name_or_path)
+    path = given_path(name_or_path)
     if path.suffix not in (".yaml", ".yml") and len(path.parts) <= 1:
         folder = share_folder("models")
         path = folder / f"{name_or_path}.yaml"
@@ -71,7 +72,7 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
     DataError
         When the file cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a model file ends in .yaml")
     with atomic_path(path, overwrite) as part:

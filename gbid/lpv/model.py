@@ -86,10 +86,13 @@ class LPVModel:
                 )
         if self.actuators:
             _check_names(f"{where}: actuators", self.actuators, ACTUATOR_PARAMETERS)
-        actuators = {key: float(self.actuators[key]) for key in ACTUATOR_PARAMETERS if self.actuators}
-        for key, value in actuators.items():
-            if not np.isfinite(value) or (key.startswith("p") and value <= 0):
-                raise UsageError(f"{where}: actuators: {key} = {value:g}; give a finite number, poles positive")
+        actuators = {}
+        for key in ACTUATOR_PARAMETERS if self.actuators else ():
+            value = self.actuators[key]
+            is_number = isinstance(value, float | int | np.number) and bool(np.isfinite(value))
+            if not is_number or (key.startswith("p") and value <= 0):
+                raise UsageError(f"{where}: actuators: {key} = {value!r}; give a finite number, poles positive")
+            actuators[key] = float(value)
         for name, mapping in (("coefficients", coefficients), ("actuators", actuators), ("rig", dict(self.rig))):
             object.__setattr__(self, name, MappingProxyType(mapping))
         RotorBearing(pade_order=self.pade_order)  # raises an error for an order below one

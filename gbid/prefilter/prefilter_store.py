@@ -13,6 +13,7 @@ import numpy as np
 from gbid import hdf5
 from gbid.arrays import FloatArray
 from gbid.hdf5 import Stored
+from gbid.naming.paths import given_path
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
 from gbid.recording.recording_store import KIND as RECORDING
@@ -92,7 +93,7 @@ def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterR
 
 def add_report(path: str | Path, report: PrefilterReport) -> None:
     """Write the report of a prefiltered recording to the file of the recording, as group ``prefilter_report``."""
-    with hdf5.changing(Path(path)) as file:
+    with hdf5.changing(given_path(path)) as file:
         _write_report(file.create_group("prefilter_report"), report)
 
 

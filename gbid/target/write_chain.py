@@ -6,6 +6,7 @@ from pathlib import Path
 
 from gbid.atomic import atomic_path
 from gbid.errors import UsageError
+from gbid.naming.paths import given_path
 from gbid.target.chain import Chain
 from gbid.target.emulated import run_emulated
 from gbid.target.selftest_rows import FLOAT_TOLERANCE, selftest_rows
@@ -48,7 +49,7 @@ def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, over
     DataError
         When a file cannot be written.
     """
-    folder = Path(folder)
+    folder = given_path(folder)
     paths = {folder / f"{chain.name}{ending}": template for ending, template in _FILES.items()}
     for path in paths:
         if path.exists() and not overwrite:

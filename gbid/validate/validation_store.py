@@ -8,6 +8,7 @@ from pathlib import Path
 from gbid import hdf5
 from gbid.atomic import atomic_path
 from gbid.errors import DataError
+from gbid.naming.paths import given_path
 from gbid.tables.table import Table, Value, plain_table
 from gbid.validate.central import ACTUATOR, NominalActuator
 from gbid.validate.scores import PointSummary, ValidationSummary
@@ -110,7 +111,7 @@ def save_nominal_actuator(
         "outliers": [{"model": o.model, "parameter": o.parameter, "reason": o.reason} for o in nominal.outliers],
         "left_out": list(nominal.left_out),
     }
-    with atomic_path(Path(path), overwrite) as part:
+    with atomic_path(given_path(path), overwrite) as part:
         write_yaml({key: value for key, value in contents.items() if value not in ([], {})}, part)
         if comment:
             part.write_text(f"# {comment}\n{part.read_text(encoding='utf-8')}", encoding="utf-8")
@@ -136,7 +137,7 @@ def load_actuators(path: str | Path) -> dict[str, float]:
     DataError
         When the file is of another kind, or a parameter is missing or not a positive number.
     """
-    data = read_yaml(Path(path)).data
+    data = read_yaml(given_path(path)).data
     found = data.get("actuators")
     if data.get("kind") != ACTUATORS_KIND or not isinstance(found, dict):
         raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); run `gbid run`")

@@ -4,6 +4,8 @@ import os
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -466,6 +468,8 @@ try:
     fit(MODE, rec, progress=progress, start={{"w": 7.0}})
 except KeyboardInterrupt:
     print("stopped after", seen[-1], signal.getsignal(signal.SIGINT) is signal.default_int_handler)
+    again, fresh = (fit(MODE, rec, start={{"w": 7.0}}) for _ in range(2))
+    print("then right", again.success, again.parameters == fresh.parameters, round(again.parameters["w"], 1))
 os.kill(os.getpid(), signal.SIGINT)
 """
 
@@ -477,7 +481,7 @@ IGNORE = "signal.signal(signal.SIGINT, signal.SIG_IGN)"
 def test_ctrl_c_ends_the_fit_at_the_next_iteration():
     script = SCRIPT.format(tests=str(SUPPORT))
     run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=60)
-    assert run.stdout.strip() == "stopped after 2 True"
+    assert run.stdout.splitlines() == ["stopped after 2 True", "then right True True 5.0"]
     # Outside the fit Ctrl-C is what it was: the second one ended the program.
     assert run.returncode in (-signal.SIGINT, 130)
     assert "KeyboardInterrupt" in run.stderr
@@ -492,14 +496,58 @@ def test_ctrl_c_that_is_ignored_does_not_end_the_fit():
     assert (run.returncode, run.stdout, run.stderr) == (0, "", "")
 
 
-def test_a_fit_in_a_thread_needs_no_signals():
-    from threading import Thread
+def test_fits_in_two_threads_are_those_in_turn():
+    data = [mode_data(500), mode_data(800)]
+    with ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(partial(fit, MODE), 2 * data))
+    assert [result.parameters for result in found] == 2 * [fit(MODE, each).parameters for each in data]
 
-    results = []
-    thread = Thread(target=lambda: results.append(fit(MODE, mode_data(500), focus="simulation")))
-    thread.start()
-    thread.join(30)
-    assert results[0].success
+
+FORKED = """
+import os, sys, threading
+sys.path.insert(0, {tests!r})
+from fit_cases import MODE, MODE_AT, levels, simulated
+from gbid.identify import fit
+from gbid.threads import one_solver
+
+rec = simulated(MODE, MODE_AT, levels(500), noise=0.3)
+here = fit(MODE, rec).parameters
+held, done = threading.Event(), threading.Event()
+
+def hold():
+    with one_solver():
+        held.set()
+        done.wait(60)
+
+threading.Thread(target=hold, daemon=True).start()
+held.wait(60)
+child = os.fork()
+if child == 0:
+    os._exit(0 if fit(MODE, rec).parameters == here else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+done.set()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="has no fork")
+def test_a_fit_in_a_forked_child_is_that_of_its_parent():
+    """Also where another thread of the parent is in the solver, whose lock the child would wait for."""
+    script = [sys.executable, "-W", "ignore", "-c", FORKED.format(tests=str(SUPPORT))]
+    run = subprocess.run(script, capture_output=True, text=True, timeout=60)
+    assert run.stdout.strip() == "0", run.stderr
+
+
+def test_what_a_progress_function_raises_comes_out(capfd):
+    class OwnError(Exception):
+        pass
+
+    def progress(now):
+        if now.iteration == 1:
+            raise OwnError("mine")
+
+    with pytest.raises(OwnError, match="mine"):
+        fit(MODE, mode_data(500), progress=progress)
+    assert capfd.readouterr().err == ""
 
 
 def test_nothing_is_printed(capfd):

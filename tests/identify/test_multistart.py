@@ -196,9 +196,12 @@ def test_local_parameters_can_be_started_anew():
     assert found.best.parameters["g[r1]"] == pytest.approx(3.0, abs=0.2)
 
 
-@pytest.mark.parametrize("wrong", [{"starts": 0}, {"reach": 0.0}, {"reach": -1.0}])
+WRONG = [{"starts": 0}, {"starts": 2.5}, *({"reach": r} for r in (0.0, -1.0, np.inf, np.nan, None, "0.5"))]
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=str)
 def test_wrong_use_is_refused(rec, wrong):
-    with pytest.raises(UsageError, match="must be at least 1 and reach"):
+    with pytest.raises(UsageError, match=f"^{next(iter(wrong))} = "):
         fit_multistart(WIDE, rec, **wrong)
     with pytest.raises(UsageError, match="focus = 'both'"):
         fit_multistart(WIDE, rec, focus="both")

@@ -119,5 +119,5 @@ def test_ctrl_c_stops_and_earlier_iterations_are_counted_on(small):
     assert not shown(second, problem, best)  # where the first ended: not told twice
     assert not shown(second, problem, best * 1.001)
     assert [p.iteration for p in seen] == [2]
-    interrupt.pressed = True
+    interrupt.error = KeyboardInterrupt()
     assert shown(second, problem, best)

@@ -27,6 +27,7 @@ from gbid.control.controllers.structures import channels_of, controller_structur
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
 from gbid.lpv import Domain
+from gbid.naming.paths import given_path
 from gbid.structure import LinearModel
 from gbid.structure.linear import Structure
 from gbid.yaml_file import YamlFile, read_yaml, write_yaml
@@ -85,7 +86,7 @@ def save_controller(
     DataError
         When the file cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise UsageError(f"{path}: a controller file ends in .yaml")
     if not isinstance(structure, Scheduled):
@@ -132,7 +133,7 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
     UsageError
         When the file is missing or faulty (with line and column), or when its matrices do not agree with its gains.
     """
-    file = read_yaml(Path(path))
+    file = read_yaml(given_path(path))
     table = parse(file)
     try:
         built = _structure(table, structure)

@@ -22,6 +22,7 @@ from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
 from gbid.identify.status import FitStatus
+from gbid.threads import one_solver
 
 _TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
 _REST = 0.1  # standard deviations that the next step of a solution may still be long
@@ -109,6 +110,8 @@ def solve(
     ------
     KeyboardInterrupt
         After Ctrl-C, once the iteration under way has ended.
+    Exception
+        What `progress` raises.
     """
     with _interruptible() as interrupt:
         watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
@@ -173,13 +176,14 @@ def _run(
     start, lower, upper = box
     trouble = Trouble()
     solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble)
-    if not watch.interrupt.pressed:
+    if watch.interrupt.error is None:
         closed = np.zeros(problem.n_gaps)
         _, lowest, highest = problem.limits
         bounds = {"lbg": np.concatenate([closed, lowest]), "ubg": np.concatenate([closed, highest])}
-        result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
-    if watch.interrupt.pressed:
-        raise KeyboardInterrupt
+        with one_solver():
+            result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
+    if watch.interrupt.error is not None:
+        raise watch.interrupt.error
     if trouble.defect is not None:
         raise trouble.defect
     unknowns = np.asarray(result["x"], float).ravel()
@@ -308,7 +312,7 @@ def _interruptible() -> Iterator[Interrupt]:
         return
 
     def note(_signal: int, _frame: Any) -> None:
-        interrupt.pressed = True
+        interrupt.error = KeyboardInterrupt()
 
     previous = signal.signal(signal.SIGINT, note)
     try:

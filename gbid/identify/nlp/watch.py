@@ -54,9 +54,17 @@ class Progress:
 
 @dataclass
 class Interrupt:
-    """Whether Ctrl-C has been pressed."""
+    """Why the solver is to end at once, from outside of it.
 
-    pressed: bool = False
+    An exception inside of a callback would be printed by CasADi and lost.
+
+    Attributes
+    ----------
+    error : BaseException or None
+        KeyboardInterrupt after Ctrl-C, or what a progress function raised.
+    """
+
+    error: BaseException | None = None
 
 
 class Watch(ca.Callback):
@@ -119,7 +127,11 @@ class Watch(ca.Callback):
         now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
         self.history.append(now)
         if self._progress is not None and not (self._earlier and len(self.history) == 1):
-            self._progress(now)
+            try:
+                self._progress(now)
+            except BaseException as error:  # raised again outside of the solver
+                self.interrupt.error = error
+                return [1]
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
         # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
@@ -134,7 +146,7 @@ class Watch(ca.Callback):
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
         ended = self.settled or self.exact or self.at_rest or self.creeping
         given_up = max(self.unstable, self.stuck) >= PATIENCE
-        return [int(self.interrupt.pressed or ended or given_up)]
+        return [int(self.interrupt.error is not None or ended or given_up)]
 
     def _nothing_to_gain(self, x: FloatArray) -> bool:
         """Return whether a Gauss-Newton step from here would be very small.

@@ -14,6 +14,7 @@ from gbid.identify.fit_store import status_of_text
 from gbid.lpv.basis import TERMS
 from gbid.lpv.load import load_model, save_model
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
+from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS
 
 
@@ -59,7 +60,7 @@ def save_lpv_fit(fit: LPVFit, path: str | Path, overwrite: bool = False, key: st
     DataError
         When a file cannot be written.
     """
-    path = Path(path)
+    path = given_path(path)
     beside = path.with_suffix(".h5")
     if beside.exists() and not overwrite:
         raise UsageError(f"{beside} exists already; choose another name or set overwrite")
@@ -98,7 +99,7 @@ def load_lpv_fit(path: str | Path) -> LPVFit:
     DataError
         When the .h5 is missing, damaged, or belongs to another model.
     """
-    path = Path(path)
+    path = given_path(path)
     if path.suffix == ".h5":
         path = path.with_suffix(".yaml")
     model = load_model(path)

@@ -13,6 +13,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
+from gbid.naming.paths import given_path
 from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.file_units import file_unit, unit_factor
@@ -50,7 +51,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         When the file cannot be read or does not contain what the mapping names. The text gives file, column and
         value.
     """
-    path = Path(path)
+    path = given_path(path)
     reader = file_format(path).read
     try:
         mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
