@@ -6,6 +6,7 @@ The public names below are imported when first used, so that ``import gbid`` cos
 from __future__ import annotations
 
 from importlib import import_module
+from pkgutil import iter_modules
 from typing import TYPE_CHECKING, Any
 
 from gbid._version import __version__
@@ -169,11 +170,15 @@ _HOME = {
         *("check_residuals", "cross_validate", "cross_validate_many", "nominal_actuator", "summarise"),
     ),
 }
+_PACKAGES = frozenset(found.name for found in iter_modules(__path__) if found.ispkg and not found.name.startswith("_"))
+"""Packages that can be used as ``gbid.control.sampled_loop`` after ``import gbid``."""
 _MODULES = {name: f"gbid.{package}" for package, names in _HOME.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for (PEP 562)."""
+    """Import a public name or a package when it is first asked for (PEP 562)."""
+    if name in _PACKAGES:
+        return import_module(f"gbid.{name}")
     if name not in _MODULES:
         raise AttributeError(f"module 'gbid' has no attribute {name!r}")
     module = import_module(_MODULES[name])
@@ -184,5 +189,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """List the public names."""
-    return sorted(__all__)
+    """List the public names and packages."""
+    return sorted({*__all__, *_PACKAGES})

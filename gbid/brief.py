@@ -1,10 +1,11 @@
-"""Short text descriptions of results for the Python shell."""
+"""Short descriptions of results: text for the Python shell, and HTML for notebooks."""
 
 from __future__ import annotations
 
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import fields
+from dataclasses import dataclass, fields, is_dataclass
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -12,12 +13,88 @@ import numpy as np
 WIDTH = 110
 """Number of characters in a line."""
 _NO_BREAK = "\u00a0"  # stands for a space inside an entry, so that a line break does not split the entry
+_ROWS = 12  # fields that are shown where a class does not choose
 FEW = 6
 """Largest number of entries that are shown in full; of longer values the first entries or the range are shown."""
 
 
-def brief(owner: Any, about: str, /, **shown: Any) -> str:
-    """Return a description of a result in a few lines.
+@dataclass(frozen=True)
+class Description:
+    """Short description of a result.
+
+    Attributes
+    ----------
+    kind : str
+        Name of its class.
+    title : str
+        Title; may be empty.
+    rows : dict of str to str
+        Values in words, by name.
+    others : tuple of str
+        Names of the fields that are not shown.
+    """
+
+    kind: str
+    title: str
+    rows: Mapping[str, str]
+    others: tuple[str, ...]
+
+    @property
+    def heading(self) -> str:
+        """Class and title."""
+        return f"{self.kind}: {self.title}".removesuffix(": ")
+
+    def text(self) -> str:
+        """Return several lines; the last one names the fields that are not shown."""
+        width = max((len(name) for name in self.rows), default=0)
+        lines = [self.heading]
+        for name, value in self.rows.items():
+            wrapped = textwrap.wrap(value, WIDTH - width - 4, break_on_hyphens=False)
+            lines += [f"  {'' if i else name:{width}}  {part}" for i, part in enumerate(wrapped)]
+        if self.others:
+            also = f"also: {', '.join(self.others)}"
+            lines += textwrap.wrap(also, WIDTH, initial_indent="  ", subsequent_indent=" " * 8, break_long_words=False)
+        return "\n".join(lines).replace(_NO_BREAK, " ")
+
+    def html(self) -> str:
+        """Return a small table without a style of its own, so that it follows the notebook's."""
+        rows = "".join(
+            f'<tr><th scope="row" style="text-align:left">{escape(name)}</th>'
+            f'<td style="text-align:left">{escape(value)}</td></tr>'
+            for name, value in self.rows.items()
+        )
+        also = f"<p><small>also: {escape(', '.join(self.others))}</small></p>" if self.others else ""
+        return f"<div><p><strong>{escape(self.heading)}</strong></p><table><tbody>{rows}</tbody></table>{also}</div>"
+
+
+class Brief:
+    """Base of results that describe themselves in a few lines, in the shell and in a notebook.
+
+    A result of any size prints at most a screen. Subclasses choose in `_brief` what is shown; by default it is the
+    fields.
+    """
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        """Keep `@dataclass` from giving the subclass a repr that prints all its arrays."""
+        super().__init_subclass__(**options)
+        if "__repr__" not in cls.__dict__:
+            cls.__repr__ = Brief.__repr__  # type: ignore[method-assign]  # dataclass leaves a method that is there
+
+    def __repr__(self) -> str:
+        return self._brief().text()
+
+    def _repr_html_(self) -> str:
+        return self._brief().html()
+
+    def _brief(self) -> Description:
+        names = [field.name for field in fields(self) if not field.name.startswith("_")]  # type: ignore[arg-type]  # all are
+        name = [getattr(self, "name", "")] if isinstance(getattr(self, "name", None), str) else [""]
+        shown = [key for key in names if key != "name"][:_ROWS]
+        return brief(self, *name, **{key: getattr(self, key) for key in shown})
+
+
+def brief(owner: Any, about: str, /, **shown: Any) -> Description:
+    """Return a short description of a result.
 
     Parameters
     ----------
@@ -30,21 +107,11 @@ def brief(owner: Any, about: str, /, **shown: Any) -> str:
 
     Returns
     -------
-    str
-        Several lines. The last line names the fields that are not shown.
+    Description
     """
-    width = max((len(name) for name in shown), default=0)
-    lines = [f"{type(owner).__name__}: {about}".removesuffix(": ")]
-    for name, value in shown.items():
-        text = value if isinstance(value, str) else in_words(value)
-        wrapped = textwrap.wrap(text, WIDTH - width - 4, break_on_hyphens=False)
-        lines += [f"  {'' if i else name:{width}}  {part}" for i, part in enumerate(wrapped)]
-    other = [field.name for field in fields(owner) if field.name not in shown and not field.name.startswith("_")]
-    if other:
-        lines += textwrap.wrap(
-            f"also: {', '.join(other)}", WIDTH, initial_indent="  ", subsequent_indent=" " * 8, break_long_words=False
-        )
-    return "\n".join(lines).replace(_NO_BREAK, " ")
+    rows = {name: value if isinstance(value, str) else in_words(value) for name, value in shown.items()}
+    others = [field.name for field in fields(owner) if field.name not in shown and not field.name.startswith("_")]
+    return Description(type(owner).__name__, about, {name: text for name, text in rows.items() if text}, tuple(others))
 
 
 def in_words(value: Any) -> str:
@@ -62,7 +129,11 @@ def in_words(value: Any) -> str:
         return _listed([f"{name} = {in_words(entry)}" for name, entry in value.items()])
     if isinstance(value, Sequence):
         return _listed([in_words(entry) for entry in value])
-    return str(value)
+    if isinstance(value, Brief):
+        return value._brief().heading
+    if is_dataclass(value):
+        return str(getattr(value, "name", type(value).__name__))
+    return getattr(value, "__name__", str(value)) if callable(value) else str(value)
 
 
 def estimates(values: Mapping[str, float], std: Mapping[str, float], names: Iterable[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
 from gbid.errors import DataError, UsageError
@@ -20,7 +20,7 @@ _NEAR_LIMIT = 0.01  # of the range
 
 
 @dataclass(frozen=True, eq=False)
-class PiezoCurve:
+class PiezoCurve(Brief):
     """Stationary piezo position over voltage or reference, and its step responses.
 
     Attributes
@@ -80,7 +80,7 @@ class PiezoCurve:
     units: tuple[str, str]
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         unit, share = self.units[1], 100 * self.hysteresis_share
         hysteresis = f"{self.hysteresis:.4g} +- {self.hysteresis_std:.2g} {unit}, {share:.3g} % of the range"
         return brief(

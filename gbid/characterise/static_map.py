@@ -10,13 +10,13 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
 
 
 @dataclass(frozen=True, eq=False)
-class StaticMap:
+class StaticMap(Brief):
     r"""Steady positions over steady inputs, and the straight lines fitted to them.
 
     .. math:: \bar p_{i,k} = \sum_j g_{ij} \bar u_{j,k} + c_{i,m(k)} + e_{i,k}
@@ -94,7 +94,7 @@ class StaticMap:
     sources: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{len(self.sources)} recordings, {len(self.axis)} plateaus",

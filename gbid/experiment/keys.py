@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,7 @@ def content_key(stage: str, settings: Mapping[str, Any], sources: Iterable[str] 
     stage : str
         Name of the stage.
     settings : dict
-        Settings as plain values; arrays are converted to lists.
+        Settings as plain values; of arrays, mappings and dataclasses all values count.
     sources : iterable of str
         Content keys of the files that the stage reads.
 
@@ -113,4 +114,9 @@ def writing_keyed(path: Path, key: str) -> Iterator[Path]:
 
 
 def _plain(value: Any) -> Any:
+    """Return arrays as lists, and other values (models, read-only mappings) as the dict of all that they hold."""
+    if isinstance(value, Mapping):
+        return dict(value)
+    if is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
     return value.tolist()

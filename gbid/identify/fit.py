@@ -36,6 +36,7 @@ from gbid.identify.start.begin import begin_values
 from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
+from gbid.recording.argument_order import check_order
 from gbid.structure import Parameter, Structure, as_names, known_names
 from gbid.threads import one_blas_thread
 
@@ -168,6 +169,7 @@ def fit(
     """
     began = time.perf_counter()
     _check_options(focus, criterion, window, stop, max_iterations, horizon)
+    check_order(structure, "fit(structure, recordings)")
     recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
     in_names = as_names(structure.inputs if inputs is None else inputs)
     out_names = as_names(structure.outputs if outputs is None else outputs)

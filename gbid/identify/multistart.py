@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError, UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
@@ -45,7 +45,7 @@ class Minimum:
 
 
 @dataclass(frozen=True, eq=False)
-class MultiStart:
+class MultiStart(Brief):
     """Results of fits from several starts.
 
     Attributes
@@ -74,7 +74,7 @@ class MultiStart:
     spread: float
     minima: tuple[Minimum, ...]
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = (
             f"{len(self.losses)} starts, {int(self.converged.sum())} converged, {self.same_optimum} ended at the best "
             f"of {len(self.minima)} minima"

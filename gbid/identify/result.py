@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Literal
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief, estimates
+from gbid.brief import Brief, Description, brief, estimates
 from gbid.errors import UsageError
+from gbid.extras import Pictured
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify.curves.bode import Bode, bode
 from gbid.identify.curves.uncertain_model import ModelSlopes, UncertainModel
 from gbid.identify.options import FitOptions
 from gbid.identify.status import FitStatus
 from gbid.structure import LinearModel
+from gbid.tables.html import html_table
+from gbid.tables.table import Column, Entry, Table
 
 StdKind = Literal["white", "robust", "bootstrap"]
 
@@ -67,7 +70,7 @@ class StartsTried:
 
 
 @dataclass(frozen=True, eq=False)
-class FitResult:
+class FitResult(Brief, Pictured):
     """Estimates of a fit, their uncertainty, status and options.
 
     Attributes
@@ -181,7 +184,7 @@ class FitResult:
         FloatArray | None, _of_free("covariance_bootstrap", "robust covariance with the bootstrap's deviations")
     ] = None
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         modes = zip(self.model.modes(), self.modes_std, strict=True)
         return brief(
             self,
@@ -192,6 +195,36 @@ class FitResult:
             modes=[f"{f:.2f} +- {df:.2g} Hz, damping {z:.4f} +- {dz:.2g}" for (f, z), (df, dz) in modes],
             notes=self.notes,
         )
+
+    def table(self) -> Table:
+        """Return the parameters as a table: estimate, standard deviation, unit, start value and its origin."""
+        columns = [Column(name) for name in ("parameter", "value", "std", "unit", "start", "start from")]
+        columns[1:3] = [Column("value", format=5), Column("std", format=2)]
+        rows: list[list[Entry]] = [
+            [name, value, self.std[name], self.units[name], self.start[name], self.start_origin[name]]
+            for name, value in self.parameters.items()
+        ]
+        return Table("", columns, rows)
+
+    def _repr_html_(self) -> str:
+        """Return the description with the table of the parameters, for a notebook."""
+        about = self._brief()
+        rows = {name: text for name, text in about.rows.items() if name != "parameters"}
+        return replace(about, rows=rows).html() + html_table(self.table())
+
+    def to_frame(self) -> Any:
+        """Return the parameters as a data frame: value, standard deviation, unit, start value and its origin by name.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame().set_index("parameter")
 
     @property
     def success(self) -> bool:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.lpv.basis import TERMS, basis, polynomial
 from gbid.lpv.domain import Domain
@@ -23,7 +23,7 @@ ACTUATOR_PARAMETERS = tuple(parameter.name for parameter in PiezoPair().paramete
 
 
 @dataclass(frozen=True)
-class LPVModel:
+class LPVModel(Brief):
     """LPV model: key parameters as polynomials in injection pressure and speed, and the actuators.
 
     Parameters
@@ -97,7 +97,7 @@ class LPVModel:
             object.__setattr__(self, name, MappingProxyType(mapping))
         RotorBearing(pade_order=self.pade_order)  # raises an error for an order below one
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         low, high = zip(self.domain.pressure_bar, self.domain.speed_rpm, strict=True)
         return brief(
             self,

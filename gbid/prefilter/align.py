@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.runout import TURN, RunoutMap
 from gbid.prefilter.shaft import ShaftMotion, shaft_motion
@@ -22,7 +23,7 @@ _MAX_BLOCKS = 20
 
 
 @dataclass(frozen=True, eq=False)
-class IndexAlignment:
+class IndexAlignment(Brief):
     """Offset between the zero of the encoder in a recording and that of a run-out map.
 
     Attributes

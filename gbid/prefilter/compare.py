@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError, UsageError
 from gbid.prefilter.identify_runout import identify_runout
 from gbid.prefilter.runout import RunoutMap
@@ -21,7 +22,7 @@ BINS = (25, 50, 100, 200)
 
 
 @dataclass(frozen=True, eq=False)
-class RunoutTrial:
+class RunoutTrial(Brief):
     """Cross-validation result of one method and size.
 
     Attributes
@@ -54,7 +55,7 @@ class RunoutTrial:
 
 
 @dataclass(frozen=True, eq=False)
-class RunoutComparison:
+class RunoutComparison(Brief):
     """Trials of a cross-validation, and the map of the chosen trial.
 
     Attributes

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.prefilter.median import running_median
@@ -21,7 +22,7 @@ _NO_MEAN = ("phi", "force")  # an angle and an impact have no offset to remove
 
 
 @dataclass(frozen=True, eq=False)
-class PrefilterReport:
+class PrefilterReport(Brief):
     """Report of the prefilter about one recording: what was removed.
 
     Attributes

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
 from gbid.recording import Recording
@@ -16,7 +17,7 @@ _UPPER = 0.5  # upper part of the spectrum that contains sensor noise only
 
 
 @dataclass(frozen=True, eq=False)
-class RunoutResidual:
+class RunoutResidual(Brief):
     """Residual of one stationary recording after a run-out map.
 
     On a stable orbit the residual is the sensor noise. At 4000 rpm the orbit of the paper (Sec. 4) is not stable: it

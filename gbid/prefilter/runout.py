@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
 from gbid.prefilter.cos_sin import cos_sin
@@ -17,7 +18,7 @@ TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class RunoutMap:
+class RunoutMap(Brief):
     r"""Map of run-out and unbalance response over the shaft angle, the filter F_r(phi) of Sec. 3.5 of the paper.
 
     It has the form of harmonics, :math:`F(\phi) = m + \sum_n a_n \cos n\phi + b_n \sin n\phi`, or of a table over the

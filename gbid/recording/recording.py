@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
@@ -11,19 +11,24 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
-from gbid.errors import DataError
+from gbid.brief import Brief, Description, brief
+from gbid.errors import DataError, UsageError
+from gbid.extras import Pictured, data_frame
+from gbid.recording.frame_columns import frame_sample_time, signal_columns
 from gbid.units import SIGNALS
+
+_Range = slice  # within the class, `slice` is its method
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class Recording(Brief, Pictured):
     """Sampled signals of one experiment, in SI units.
 
     Parameters
     ----------
-    signals : dict of str to (n_samples, n_channels) array
-        Names are free. Rows are samples, columns are channels; arrays are never transposed.
+    signals : dict of str to (n_samples, n_channels) or (n_samples,) array
+        Names are free. Rows are samples, columns are channels; arrays are never transposed. An array of one dimension
+        is one channel.
     sample_time : float
         Time between samples [s].
     conditions : dict of str to float, optional
@@ -41,8 +46,8 @@ class Recording:
     Raises
     ------
     DataError
-        When a signal is not a two-dimensional array of finite numbers, when the lengths differ, or when the sample
-        time is not positive.
+        When a signal is not an array of one or two dimensions of finite numbers, when the lengths differ, or when the
+        sample time is not positive.
     """
 
     signals: Mapping[str, FloatArray]
@@ -90,13 +95,99 @@ class Recording:
         freeze(self, "channels", MappingProxyType(channels))
         freeze(self, "provenance", MappingProxyType({k: str(v) for k, v in self.provenance.items()}))
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = f"{self.name}, {self.n_samples} samples of {self.sample_time:g} s, {self.duration:g} s"
         signals = {
             name: f"{', '.join(self.channels[name])} [{self.units[name]}] {values.min():.4g} to {values.max():.4g}"
             for name, values in self.signals.items()
         }
         return brief(self, about, **signals, conditions=self.conditions)
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        signals: Mapping[str, str | Sequence[str]] | None = None,
+        *,
+        sample_time: float | None = None,
+        time: str | None = None,
+        units: Mapping[str, str] | None = None,
+        conditions: Mapping[str, float] | None = None,
+        name: str = "recording",
+    ) -> Recording:
+        """Return a recording with the columns of a data frame, whose values are in SI units.
+
+        Parameters
+        ----------
+        frame : pandas.DataFrame
+            A row for each sample.
+        signals : dict of str to str or sequence of str, optional
+            Columns of each signal, as ``{"u": ["ux", "uy"]}``. By default every column is a channel: ``"p.x"`` is
+            channel x of signal p, and a column without a dot is a signal of its own.
+        sample_time : float, optional
+            Time between samples [s]; by default from the column `time` or from the index.
+        time : str, optional
+            Column of the time [s], which is then no signal.
+        units, conditions, name
+            As for `Recording`.
+
+        Returns
+        -------
+        Recording
+
+        Raises
+        ------
+        DataError
+            When the times are not evenly spaced, or as for `Recording`.
+        UsageError
+            When the frame has no such column, or no times.
+        """
+        values, channels = signal_columns(frame, signals, time)
+        if sample_time is None:
+            sample_time = frame_sample_time(frame, time)
+        return cls(values, sample_time, conditions or {}, name, units or {}, channels)
+
+    def to_frame(self) -> Any:
+        """Return a data frame with a column for each channel (``"p.x"``) over the time [s].
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``frame.attrs`` holds the units, the conditions and the name.
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        columns = {
+            f"{name}.{channel}": values[:, i]
+            for name, values in self.signals.items()
+            for i, channel in enumerate(self.channels[name])
+        }
+        units = {column: self.units[column.partition(".")[0]] for column in columns}
+        frame = data_frame({"time_s": self.time, **columns}, index="time_s", units=units)
+        frame.attrs |= {"name": self.name, "conditions": dict(self.conditions)}
+        return frame
+
+    def __len__(self) -> int:
+        return self.n_samples
+
+    def __getitem__(self, samples: _Range) -> Recording:
+        """Return a stretch of the recording: ``recording[100:200]``, as `slice` does."""
+        if not isinstance(samples, slice):
+            raise UsageError(
+                f"recording[{samples!r}]: give a range of samples, as [100:200]; recording.signal(name) gives a signal"
+            )
+        if samples.step not in (None, 1):
+            raise UsageError(
+                f"recording[::{samples.step}]: leaving out samples without a filter folds high frequencies down; "
+                "filter first (scipy.signal.decimate), then make a Recording"
+            )
+        start, stop, _ = samples.indices(self.n_samples)
+        return self.slice(start, stop)
+
+    __iter__ = None  # a recording is neither its signals nor its samples: name them
 
     @property
     def n_samples(self) -> int:
@@ -205,8 +296,10 @@ def _checked(recording: str, signal: str, values: npt.ArrayLike) -> FloatArray:
         array = np.array(raw, dtype=float, order="C")  # a copy: the caller's array stays writable
     except (TypeError, ValueError):
         raise DataError(f"{where} is not an array of real numbers") from None
+    if array.ndim == 1:
+        array = array[:, None]
     if array.ndim != 2:
-        raise DataError(f"{where} has shape {array.shape}; give (n_samples, n_channels), one channel as (n_samples, 1)")
+        raise DataError(f"{where} has shape {array.shape}; give (n_samples, n_channels)")
     if 0 in array.shape:
         raise DataError(f"{where} is empty: shape {array.shape}")
     if array.shape[0] < array.shape[1]:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import casadi as ca
 import numpy as np
 
+from gbid.brief import Brief
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.numeric.linear_model import LinearModel
@@ -90,7 +91,7 @@ class Structure(Protocol):
 
 
 @dataclass(frozen=True)
-class LinearStructure:
+class LinearStructure(Brief):
     """Linear model structure defined by a user.
 
     Parameters

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from gbid.brief import Brief
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.parameter import Parameter, Values
@@ -15,7 +16,7 @@ AXES = ("x", "y")
 
 
 @dataclass(frozen=True)
-class PiezoPair:
+class PiezoPair(Brief):
     """Piezo pairs with the transfer function ``kappa / ((s/p1 + 1) (s/p2 + 1))`` per axis, from r to u (Eqs. 12 to 14).
 
     The input is the position reference r, the output the position difference u. The states are

@@ -8,6 +8,7 @@ from typing import Any
 
 import casadi as ca
 
+from gbid.brief import Brief
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.linear import as_names
@@ -17,7 +18,7 @@ from gbid.structure.rotor_bearing import RotorBearing
 
 
 @dataclass(frozen=True)
-class Plant:
+class Plant(Brief):
     """Plant ``G = G_rb G_act``: from the references r to the piezo positions u and the disc position p.
 
     The references are really held between samples, so zero-order hold is exact for this structure. The states are

@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from gbid.brief import Brief
 from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.delay import pade_delay
@@ -27,7 +28,7 @@ _UNITS = {"k": "N/(kg m)", "d": "N s/(kg m)", "b": "N/(kg m)"}
 
 
 @dataclass(frozen=True)
-class RotorBearing:
+class RotorBearing(Brief):
     """Rotor and gas bearing: two coupled degrees of freedom with two input delays.
 
     ``pdd = K p + D pd + B u(t - tau)`` per unit mass (Eqs. 5 to 7), with delays as Pade all-pass filters (Eq. 9). The

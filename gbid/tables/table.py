@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from math import isfinite
 from typing import Any
 
+from gbid.extras import data_frame
 from gbid.tables.numbers import engineering, shown_unit
 
 Value = str | float | int | bool | None
@@ -138,6 +139,18 @@ class Table:
     def texts(self) -> list[list[str]]:
         """Return the texts of the cells, row by row."""
         return [[column.show(entry) for column, entry in zip(self.columns, row, strict=True)] for row in self.rows]
+
+    def to_frame(self) -> Any:
+        """Return the values as a pandas.DataFrame, with the units in ``frame.attrs["units"]``.
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        names = [" ".join(column.name.split()) for column in self.columns]
+        values = {name: [value_of(row[i]) for row in self.rows] for i, name in enumerate(names)}
+        return data_frame(values, units={name: c.unit for name, c in zip(names, self.columns, strict=True)})
 
     def document(self) -> dict[str, Any]:
         """Return title, headings and values as a document for JSON; numbers that are not finite are None."""

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Literal
 
 from gbid._version import __version__
+from gbid.brief import Brief
 from gbid.prefilter import RunoutMap
 from gbid.target.chain_options import STACKS, ChainOptions
 from gbid.target.grid_table import GridTable
@@ -36,7 +37,7 @@ class SumTerm:
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class Chain(Brief):
     """Control chain, from `chain_of`.
 
     Attributes

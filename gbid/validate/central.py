@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief, estimates
+from gbid.brief import Brief, Description, brief, estimates
 from gbid.errors import DataError, UsageError
 from gbid.identify import FitResult, FitTable, TableEntry, tabulate
 
@@ -58,7 +58,7 @@ class ActuatorOutlier:
 
 
 @dataclass(frozen=True, eq=False)
-class NominalActuator:
+class NominalActuator(Brief):
     """Most central of n actuator models with six parameters.
 
     Attributes
@@ -99,7 +99,7 @@ class NominalActuator:
     outliers: tuple[ActuatorOutlier, ...]
     left_out: tuple[str, ...]
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{self.name}, the most central of {len(self.models)} models",

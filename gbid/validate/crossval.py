@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError
+from gbid.extras import Pictured, data_frame
 from gbid.identify import FitResult
 from gbid.recording import Recording
+from gbid.recording.argument_order import check_order
 from gbid.validate.scores import ValidationScores, join_scores
 from gbid.validate.simulator import Explained, Simulator, simulator
 from gbid.validate.validation_data import Ranges, ValidationData, validation_data
 
 
 @dataclass(frozen=True, eq=False)
-class Validation:
+class Validation(Brief, Pictured):
     """Measured and simulated response of one recording.
 
     Attributes
@@ -59,6 +63,33 @@ class Validation:
     output_units: tuple[str, ...]
     conditions: dict[str, float]
 
+    def _brief(self) -> Description:
+        figures = {
+            name: f"fit {self.fit_percent[j]:.2f} %, largest deviation {self.infinity_norm[j]:.4g} {unit}".rstrip()
+            for j, (name, unit) in enumerate(zip(self.output_names, self.output_units, strict=True))
+        }
+        about = f"model of {', '.join(self.fitted_to)} on {self.recording}, {len(self.time)} samples"
+        return brief(self, about, **figures, conditions=self.conditions)
+
+    def to_frame(self) -> Any:
+        """Return inputs, measured and simulated outputs over the time as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        columns = {"time_s": self.time, **dict(zip(self.input_names, self.inputs.T, strict=True))}
+        units = dict(zip(self.input_names, self.input_units, strict=True))
+        for j, name in enumerate(self.output_names):
+            columns |= {name: self.measured[:, j], f"{name}_simulated": self.simulated[:, j]}
+            units |= {name: self.output_units[j], f"{name}_simulated": self.output_units[j]}
+        return data_frame(columns, index="time_s", units=units)
+
 
 def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = ()) -> Validation:
     """Return the simulation of a fitted model on a recording, with its fit percent and largest deviation.
@@ -85,6 +116,7 @@ def cross_validate(result: FitResult, recording: Recording, left_out: Ranges = (
         When the recording lacks a signal or has another sample time, when no sample counts, or when the simulation
         overflows.
     """
+    check_order(result, "cross_validate(result, recording)")
     data, fitted = validation_data(result, recording, left_out), simulator(result)
     explained = _explain(fitted, data)
     simulated = fitted.run(data.inputs, explained.initial_state)

@@ -10,10 +10,13 @@ from scipy.linalg import toeplitz
 from scipy.special import chdtrc, ndtri
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError, UsageError
+from gbid.extras import Pictured
 from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.identify.disturbances.walking_model import with_walking_offsets
 from gbid.recording import Recording
+from gbid.recording.argument_order import check_order
 from gbid.validate.fit_percent import fit_percent
 from gbid.validate.simulator import Simulator
 from gbid.validate.validation_data import Ranges, counted_samples
@@ -22,7 +25,7 @@ _LEVEL = 0.99
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualTest:
+class ResidualTest(Brief, Pictured):
     """Tests of whiteness of the residuals and of their correlation with the inputs.
 
     Attributes
@@ -80,6 +83,16 @@ class ResidualTest:
     output_names: tuple[str, ...]
     verdict: tuple[str, ...]
 
+    def _brief(self) -> Description:
+        return brief(
+            self,
+            f"residuals on {self.recording}, {len(self.lags) - 1} lags",
+            verdict="; ".join(self.verdict),
+            p_white=dict(zip(self.output_names, self.p_white.tolist(), strict=True)),
+            rms=dict(zip(self.output_names, self.rms.tolist(), strict=True)),
+            fit_percent=self.fit_percent,
+        )
+
     @property
     def white(self) -> BoolArray:
         """Whether the residuals of each output count as white, (n_outputs,)."""
@@ -122,6 +135,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     DataError
         When the recording lacks a signal, or when the predictions overflow.
     """
+    check_order(result, "check_residuals(result, recording)")
     u, input_names, _ = select(recording, result.options.inputs)
     y, output_names, _ = select(recording, result.options.outputs)
     stretch = _longest(counted_samples(recording, left_out), len(y))

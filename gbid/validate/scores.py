@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError, UsageError
+from gbid.extras import data_frame
 from gbid.hdf5 import Stored
 from gbid.validate.validation_data import ValidationData
 
 
 @dataclass(frozen=True, eq=False)
-class ValidationScores:
+class ValidationScores(Brief):
     """Scores of n pairs of model and recording with q outputs.
 
     Attributes
@@ -44,7 +45,7 @@ class ValidationScores:
     fit_percent: FloatArray
     infinity_norm: FloatArray
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{len(self.models)} pairs of model and recording",
@@ -56,6 +57,33 @@ class ValidationScores:
 
     def __len__(self) -> int:
         return len(self.models)
+
+    def to_frame(self) -> Any:
+        """Return the scores as a data frame, a row for each pair of model and recording.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        columns = {
+            "model": self.models,
+            "recording": self.recordings,
+            "pressure_bar": self.pressure_bar,
+            "speed_rpm": self.speed_rpm,
+        }
+        units = {"pressure_bar": "bar", "speed_rpm": "rpm"}
+        for j, (name, unit) in enumerate(zip(self.output_names, self.output_units, strict=True)):
+            columns |= {
+                f"fit_percent_{name}": self.fit_percent[:, j],
+                f"infinity_norm_{name}": self.infinity_norm[:, j],
+            }
+            units |= {f"fit_percent_{name}": "%", f"infinity_norm_{name}": unit}
+        return data_frame(columns, units=units)
 
 
 @dataclass(frozen=True)
@@ -80,7 +108,7 @@ class WorstPair:
 
 
 @dataclass(frozen=True, eq=False)
-class PointSummary:
+class PointSummary(Brief):
     """Summary of the pairs of one operating point.
 
     Attributes
@@ -106,7 +134,7 @@ class PointSummary:
 
 
 @dataclass(frozen=True, eq=False)
-class ValidationSummary:
+class ValidationSummary(Brief):
     """Summary of a cross-validation with q outputs and b histogram bins.
 
     Attributes
@@ -156,7 +184,7 @@ class ValidationSummary:
     points: tuple[PointSummary, ...]
     failed: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         outputs = {
             name: f"{self.mean[j]:.2f} +- {self.std[j]:.2f} %, {self.least[j]:.2f} to {self.greatest[j]:.2f} %"
             for j, name in enumerate(self.output_names)

@@ -1,5 +1,6 @@
 import csv
 import inspect
+from dataclasses import replace
 
 import h5py
 import numpy as np
@@ -465,6 +466,10 @@ def test_keys_follow_settings_and_sources():
         content_key("rig", {"a": 1.0, "b": [1, 2]}, ["x"]),
     ]
     assert len({one, *others}) == 4
+    model = load_model("theisen2016")
+    changed = replace(model, coefficients={**model.coefficients, "k_xx": (1.0, *model.coefficients["k_xx"][1:])})
+    assert content_key("design", {"model": model}) == content_key("design", {"model": load_model("theisen2016")})
+    assert content_key("design", {"model": model}) != content_key("design", {"model": changed})
 
 
 def test_stored_key_of_foreign_files_is_empty(tmp_path):

@@ -1,6 +1,9 @@
 """What results say of themselves in a Python shell: few lines, with what a reader asks for first."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
+from importlib import import_module
+from pkgutil import walk_packages
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -8,7 +11,7 @@ from campaign_files import write_springs
 from experiment_files import gbid as run_gbid
 
 import gbid
-from gbid.brief import WIDTH, brief, counted, in_words
+from gbid.brief import WIDTH, Brief, brief, counted, in_words
 from gbid.control.assessment.assess import assess
 from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.validate.scores import summarise
@@ -118,9 +121,39 @@ def test_validation():
 
 def test_what_is_long_is_cut():
     many = Numbers(np.arange(1e5))
-    assert brief(many, "x", values=many.values) == "Numbers: x\n  values  100000 numbers, 0 to 99999\n  also: about"
-    assert "... 2 more" in brief(many, "x", values={f"n{i}": 0.1 * i for i in range(8)})
+    assert (
+        brief(many, "x", values=many.values).text() == "Numbers: x\n  values  100000 numbers, 0 to 99999\n  also: about"
+    )
+    assert "... 2 more" in brief(many, "x", values={f"n{i}": 0.1 * i for i in range(8)}).text()
     assert in_words(np.array([1.0, np.nan] * 9)) == "18 numbers, 1 to 1, 9 without a value"
     assert in_words(np.full(9, np.nan)) == "9 numbers, 9 without a value"
     assert in_words(np.array([[1.0, 2.5]])) == "[[1. 2.5]]"
     assert counted(["b", "a", "b"]).split(",")[0].split("\u00a0") == ["2", "b"]
+
+
+def exported():
+    """Dataclasses that a package of gbid exports."""
+    for package in walk_packages(gbid.__path__, "gbid."):
+        if package.ispkg and package.name.count(".") < 3 and package.name not in ("gbid.cli", "gbid.campaign"):
+            module = import_module(package.name)
+            for name in getattr(module, "__all__", ()):
+                value = getattr(module, name)
+                if is_dataclass(value):
+                    yield value
+
+
+def test_values_with_arrays_are_brief():
+    """The repr that `@dataclass` writes would print the arrays: 43 000 characters for a validation."""
+    long = {kind for kind in exported() if any("Array" in str(f.type) for f in fields(kind))}
+    assert len(long) > 40
+    assert {kind.__name__ for kind in long if kind.__repr__ is not Brief.__repr__} == set()
+
+
+def test_notebooks_show_a_table(folder):
+    result = gbid.load_fit(folder / "fits" / "spring" / "run1.h5")
+    html = result._repr_html_()
+    assert ElementTree.fromstring(f"<div>{html}</div>").find(".//table") is not None
+    assert f"<strong>FitResult: {result.structure}, {result.status}</strong>" in html
+    assert '<th scope="row">k</th>' in html
+    odd = gbid.Recording({"u": np.zeros((5, 1))}, 1.0, name="a <b> & c")
+    assert "a &lt;b&gt; &amp; c" in odd._repr_html_()

@@ -77,7 +77,6 @@ NAN[17, 1] = np.nan
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        (np.ones(N), "one channel as"),
         (np.ones((2, N)), "more channels than samples"),
         (np.ones((N, 2, 1)), "(n_samples, n_channels)"),
         (np.ones((0, 2)), "empty"),

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.assessment.point_assessment import FIGURES, LOWEST_IS_WORST, PointAssessment, assess_point
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.impact.half_sine import HalfSine
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
+from gbid.extras import data_frame
 from gbid.lpv import LPVModel
 from gbid.operating_point import point_label
 from gbid.structure.linear import Structure
 
 
 @dataclass(frozen=True)
-class Assessment:
+class Assessment(Brief):
     """Performance figures of a design over its operating points.
 
     Attributes
@@ -50,7 +52,7 @@ class Assessment:
     method: str
     impact: HalfSine
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         worst = {
             name: f"{value:.5g} at {point_label(point.pressure_bar, point.speed_rpm)}"
             for name, (value, point) in self.worst.items()
@@ -59,6 +61,21 @@ class Assessment:
             f"{self.name or self.structure}, {len(self.points)} operating points, {'' if self.stable else 'not '}stable"
         )
         return brief(self, about, gains=self.gains, **worst)
+
+    def to_frame(self) -> Any:
+        """Return the figures as a data frame, a row for each operating point.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        rows = [{"pressure_bar": p.pressure_bar, "speed_rpm": p.speed_rpm, **p.figures()} for p in self.points]
+        return data_frame({name: [row[name] for row in rows] for name in rows[0]})
 
     @property
     def stable(self) -> bool:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from gbid.control.assessment.assess import Assessment
 from gbid.errors import UsageError
+from gbid.tables.html import html_table
+from gbid.tables.table import Cell, Column, Entry, Table
 
 COLUMNS = (
     ("smallest damping", "damping", 1.0, ".3f"),
@@ -45,6 +48,26 @@ class Comparison:
 
     def __repr__(self) -> str:
         return str(self)
+
+    def _repr_html_(self) -> str:
+        return html_table(self.table())
+
+    def table(self) -> Table:
+        """Return the table with its values; `to_frame` of it makes a data frame."""
+        names = [row[0] for row in self.rows]
+        shown = zip(names, self.rows, self.values, strict=True)
+        rows: list[list[Entry]] = [[name, *map(Cell, values, texts[1:])] for name, texts, values in shown]
+        return Table("", [Column(heading) for heading in self.columns], rows)
+
+    def to_frame(self) -> Any:
+        """Return the figures as a pandas.DataFrame, a row for each design.
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame().set_index(self.columns[0])
 
     def __str__(self) -> str:
         """Return a table with aligned columns."""

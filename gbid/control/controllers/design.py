@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isfinite
 
+from gbid.brief import Brief
 from gbid.control.controllers.scheduled import Scheduled, controller_at
 from gbid.control.loop.sampling import Method, sample_controller
 from gbid.errors import UsageError
@@ -16,7 +17,7 @@ Point = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
-class ControllerDesign:
+class ControllerDesign(Brief):
     """Designed controller, as `load_controller` returns it.
 
     Parameters

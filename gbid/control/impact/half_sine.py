@@ -9,6 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.loop.force_entry import force_entry
 from gbid.control.loop.sensitivity import sensitivities
 from gbid.discretise import propagate
@@ -67,7 +68,7 @@ class HalfSine:
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactResponse:
+class ImpactResponse(Brief):
     """Response to an impact from rest.
 
     Attributes

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
+from gbid.brief import Brief
 from gbid.control.impact.figures_of_merit import ImpactFigures, impact_figures
 from gbid.control.impact.ringdown.fit_ringdown import fit_ringdown
 from gbid.control.impact.ringdown.ringdown_result import RingDown
@@ -19,7 +20,7 @@ from gbid.structure import LinearModel, PiezoPair, evaluate
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactStudy:
+class ImpactStudy(Brief):
     """Expected and measured modes, and measured and simulated responses.
 
     Attributes

@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.impact.force_response import force_response
 from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of, pulses_of
 from gbid.control.impact.ringdown.basis import harmonics_for, quiet_basis
@@ -24,7 +25,7 @@ _BEFORE = 25  # samples before an impact in a figure
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactValidation:
+class ImpactValidation(Brief):
     """Measured and simulated response, as `validate_impact` returns them.
 
     Attributes

@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.brief import Brief
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sensitivity import sensitivities
 from gbid.structure import LinearModel
 
 
 @dataclass(frozen=True, eq=False)
-class SensitivityData:
+class SensitivityData(Brief):
     """Frequency responses of a loop, channel by channel.
 
     Attributes

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.loop.norm import refine_maxima
 from gbid.control.loop.sensitivity import Sensitivities
 
@@ -21,7 +21,7 @@ ISO_LIMITS: dict[Zone, float] = {"A": 3.0, "B": 4.0, "C": 5.0, "D": inf}
 
 
 @dataclass(frozen=True, eq=False)
-class SensitivityZones:
+class SensitivityZones(Brief):
     """Sensitivity of each axis of a loop, its peak and its zone.
 
     Attributes
@@ -48,7 +48,7 @@ class SensitivityZones:
     zone: tuple[Zone, ...]
     axes: tuple[str, ...]
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = ", ".join(
             f"{axis} zone {zone} (peak {peak:.3f})"
             for axis, zone, peak in zip(self.axes, self.zone, self.peak, strict=True)

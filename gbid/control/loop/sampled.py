@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from gbid.brief import Brief
 from gbid.control.loop.close import close_loop
 from gbid.control.loop.damping import smallest_damping
 from gbid.control.loop.norm import Peak
@@ -14,7 +15,7 @@ from gbid.structure import LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 
 
 @dataclass(frozen=True, eq=False)
-class SampledLoop:
+class SampledLoop(Brief):
     """Sampled loop, from samples of p to held references r.
 
     Attributes

@@ -11,10 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.loop.close import close_loop
 from gbid.control.loop.norm import Peak, largest_singular_values, peak_gain, refine_maxima
 from gbid.errors import UsageError
+from gbid.extras import Pictured
 from gbid.structure import LinearModel, frequency_grid, with_pade
 
 Which = Literal["output", "input", "control", "plant", "complementary"]
@@ -23,7 +24,7 @@ STABILITY_PADE_ORDER = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Sensitivities:
+class Sensitivities(Brief, Pictured):
     r"""Sensitivities of a loop ``r = K p`` (Eq. 21) to disturbances.
 
     d is added to the measured position p, and w to the reference r:
@@ -50,7 +51,7 @@ class Sensitivities:
     def __post_init__(self) -> None:
         assert self._loop is not None  # raises an error when the models do not form a loop
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(self, "", plant=self.plant.summary, controller=self.controller.summary)
 
     @property

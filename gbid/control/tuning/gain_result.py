@@ -8,8 +8,9 @@ from enum import StrEnum
 from types import MappingProxyType
 from typing import Annotated, Any
 
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.tuning.search.step import SearchStep
+from gbid.extras import data_frame
 from gbid.hdf5 import NOT_STORED, Stored
 
 Points = Annotated[tuple[tuple[float, float], ...], Stored("bar, rpm", "operating points of the design")]
@@ -71,7 +72,7 @@ class GoalFigure:
 
 
 @dataclass(frozen=True)
-class GainResult:
+class GainResult(Brief):
     """Gains found by `gbid.maximise_damping` or `gbid.tune`, with verified figures.
 
     Attributes
@@ -150,7 +151,7 @@ class GainResult:
         """Whether the design is stable and keeps all limits, and the search ended by itself."""
         return self.status in (GainStatus.OPTIMAL, GainStatus.STALLED)
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         known = {
             name: getattr(self, name)
             for name in ("peak_sensitivity", "peak_control", "static_amplification", "sample_time")
@@ -166,6 +167,20 @@ class GainResult:
             verified_on=self.verified_on,
             notes=self.notes,
         )
+
+    def to_frame(self) -> Any:
+        """Return the gains as a data frame with one column.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return data_frame({"gain": list(self.gains), "value": list(self.gains.values())}, index="gain")
 
     # A read-only view cannot be pickled: workers get a plain dict.
     def __getstate__(self) -> dict[str, Any]:

@@ -8,15 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.tuning.gain_result import GainResult
 from gbid.control.tuning.tune import tune
 from gbid.errors import UsageError
+from gbid.extras import data_frame
 from gbid.lpv import LPVModel
 
 
 @dataclass(frozen=True)
-class ParetoFront:
+class ParetoFront(Brief):
     """Best designs under rising limits on the peak of S_o.
 
     Attributes
@@ -30,12 +31,28 @@ class ParetoFront:
     caps: tuple[float, ...]
     designs: tuple[GainResult, ...]
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         designs = {
             f"cap {cap:g}": f"{d.objective} {d.value:.6g}, {d.status}"
             for cap, d in zip(self.caps, self.designs, strict=True)
         }
         return brief(self, f"{len(self.caps)} designs", **designs)
+
+    def to_frame(self) -> Any:
+        """Return limit, damping (or decay rate) and gains of each design as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        gains = {name: [design.gains[name] for design in self.designs] for name in self.designs[0].gains}
+        status = [str(design.status) for design in self.designs]
+        return data_frame({"cap": self.caps, "value": self.values, "status": status, **gains})
 
     @property
     def values(self) -> tuple[float, ...]:

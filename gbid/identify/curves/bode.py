@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.identify.curves.uncertain_model import ModelLike, ModelSlopes, as_uncertain, std_of
 from gbid.structure import LinearModel, frequency_grid
@@ -21,7 +22,7 @@ LEVEL = 0.95
 
 
 @dataclass(frozen=True, eq=False)
-class Bode:
+class Bode(Brief):
     """Frequency response of a model, with standard deviations.
 
     Attributes
@@ -53,7 +54,7 @@ class Bode:
     output_names: tuple[str, ...]
     name: str
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = f"{self.name}, {len(self.frequency_hz)} frequencies"
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
 
@@ -121,6 +122,20 @@ class Bode:
             for k, f in enumerate(self.frequency_hz)
         ]
         return Table(f"frequency response of {self.name}", columns, rows, (f"bands of {100 * level:g} %",))
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
 
 
 def bode(source: ModelLike, frequency_hz: npt.ArrayLike | None = None) -> Bode:

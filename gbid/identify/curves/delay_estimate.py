@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import select
 from gbid.recording import Recording
@@ -17,7 +17,7 @@ _LEVEL = 4.0  # smallest correlation that counts, in standard deviations: by cha
 
 
 @dataclass(frozen=True, eq=False)
-class DelayEstimate:
+class DelayEstimate(Brief):
     """Delay from an input to an output, by correlation.
 
     Attributes
@@ -46,7 +46,7 @@ class DelayEstimate:
     input_name: str
     output_name: str
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = f"{self.input_name} to {self.output_name}, {self.delay_s:.6g} s ({self.lag - 1} samples)"
         return brief(self, about, lag=self.lag, limit=self.limit)
 

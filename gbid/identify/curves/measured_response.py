@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.discretise import check_holds, hold_response
 from gbid.errors import DataError, UsageError
+from gbid.extras import Pictured
 from gbid.identify.data import select
 from gbid.recording import Recording
 from gbid.structure import as_names
@@ -20,7 +21,7 @@ _CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbou
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredResponse:
+class MeasuredResponse(Brief, Pictured):
     """Frequency response that was estimated from recordings without a model.
 
     Attributes
@@ -47,7 +48,7 @@ class MeasuredResponse:
     output_names: tuple[str, ...]
     averages: float
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = f"{len(self.frequency_hz)} frequencies, {self.averages:.1f} averages"
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
 

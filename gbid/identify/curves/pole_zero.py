@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import log, sqrt
+from typing import Any
 
 import numpy as np
 from scipy.linalg import eig
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.identify.curves.bode import LEVEL, quantile
 from gbid.identify.curves.uncertain_model import ModelLike, ModelSlopes, as_uncertain
 from gbid.structure import LinearModel
@@ -19,7 +20,7 @@ _FAR = 1e6  # smallest size of a zero, relative to the fastest pole, that counts
 
 
 @dataclass(frozen=True, eq=False)
-class PoleZero:
+class PoleZero(Brief):
     """Poles and zeros of a model in continuous time.
 
     Attributes
@@ -43,7 +44,7 @@ class PoleZero:
     zero_covariance: FloatArray
     name: str
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(self, f"{self.name}, {len(self.poles)} poles, {len(self.zeros)} zeros")
 
     @property
@@ -65,6 +66,20 @@ class PoleZero:
                 rows.append([kind, float(s.real), std_re, float(s.imag), std_im, size / (2 * np.pi), damping])
         names = ("real", "real_std", "imaginary", "imaginary_std", "frequency_hz", "damping")
         return Table(f"poles and zeros of {self.name}", [Column("kind"), *(Column(n, format=6) for n in names)], rows)
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
 
 
 def pole_zero(source: ModelLike) -> PoleZero:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.discretise import Dual, constant, discretise
 from gbid.errors import UsageError
 from gbid.identify.curves.bode import LEVEL, quantile
@@ -22,7 +22,7 @@ _SETTLED, _PERIODS = 6.0, 15.0  # usual duration: time constants of the slowest 
 
 
 @dataclass(frozen=True, eq=False)
-class TimeResponse:
+class TimeResponse(Brief):
     """Response of a model at rest to a unit step or a unit impulse of each input.
 
     Attributes
@@ -49,7 +49,7 @@ class TimeResponse:
     output_names: tuple[str, ...]
     name: str
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         about = f"{self.kind} response of {self.name}, {len(self.time_s)} times to {self.time_s[-1]:.4g} s"
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
 
@@ -84,6 +84,20 @@ class TimeResponse:
         ]
         numbers = [Column(name, format=6) for name in ("time_s", "response", "std")]
         return Table(f"{self.kind} response of {self.name}", [Column("output"), Column("input"), *numbers], rows)
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
 
 
 def time_response(source: ModelLike, kind: Excited = "step", duration_s: float | None = None) -> TimeResponse:

@@ -8,6 +8,7 @@ from typing import Annotated, Protocol, runtime_checkable
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
 from gbid.structure import LinearModel
@@ -18,7 +19,7 @@ def _by_free(letter: str, shape: str) -> Stored:
 
 
 @dataclass(frozen=True, eq=False)
-class ModelSlopes:
+class ModelSlopes(Brief):
     """Derivatives of the matrices of a continuous-time model by the free parameters of a fit.
 
     Attributes
@@ -44,7 +45,7 @@ class ModelSlopes:
 
 
 @dataclass(frozen=True, eq=False)
-class UncertainModel:
+class UncertainModel(Brief):
     """Linear model whose matrices depend on parameters with a covariance.
 
     Attributes

@@ -10,8 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
-from gbid.brief import brief, counted
+from gbid.brief import Brief, Description, brief, counted
 from gbid.errors import UsageError
+from gbid.extras import data_frame
 from gbid.hdf5 import Stored
 
 TextArray = npt.NDArray[np.str_]
@@ -22,7 +23,7 @@ _GAIN = ("static_gain", "static_gain_std")
 
 
 @dataclass(frozen=True, eq=False)
-class FitTable:
+class FitTable(Brief):
     """Table with one row for each fit of a campaign, with failed fits.
 
     n rows, k parameters, m modes, g static gains, q outputs. The columns are those of all fits in the table. Values
@@ -105,7 +106,7 @@ class FitTable:
     iterations: Annotated[IntArray, Stored("1", "iterations of the solver", "n")]
     wall_time_s: Annotated[FloatArray, Stored("s", "time that the fit took", "n")]
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         converged = [name for name, success in zip(self.fit.tolist(), self.success, strict=True) if success]
         return brief(
             self,
@@ -268,6 +269,24 @@ class FitTable:
         found["notes"] = (_joined(self.notes, "; "), "")
         found["wall_time_s"] = (self.wall_time_s, "s")
         return found
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame, with the columns of the CSV file.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        found = self.columns()
+        return data_frame(
+            {name: values for name, (values, _) in found.items()},
+            units={name: unit for name, (_, unit) in found.items()},
+        )
 
     def _without_empty_columns(self) -> FitTable:
         p, m, g, q = (

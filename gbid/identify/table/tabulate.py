@@ -8,13 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.identify.result import FitResult
 from gbid.identify.table.fit_table import FitTable
 
 
 @dataclass(frozen=True, eq=False)
-class TableEntry:
+class TableEntry(Brief):
     """Source of one row of a table of fits.
 
     Attributes

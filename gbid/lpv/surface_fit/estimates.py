@@ -9,6 +9,7 @@ from typing import Annotated
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError, UsageError
 from gbid.hdf5 import Stored
 from gbid.identify.result import FitResult
@@ -17,7 +18,7 @@ from gbid.structure import KEY_PARAMETERS
 
 
 @dataclass(frozen=True, eq=False)
-class Estimates:
+class Estimates(Brief):
     """Estimated key parameters of n recordings.
 
     Attributes

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify import FitStatus
@@ -27,7 +27,7 @@ _TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
-class LPVFit:
+class LPVFit(Brief):
     """Surfaces of the key parameters, their uncertainty, and the estimates to which they were fitted.
 
     Attributes
@@ -72,7 +72,7 @@ class LPVFit:
         """Whether the fit converged."""
         return self.status.success
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{self.model.name}, {self.status}",

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.special import fdtrc
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
 
 
 @dataclass(frozen=True, eq=False)
-class OrderScore:
+class OrderScore(Brief):
     """Cross-validation score of polynomials of one order.
 
     Attributes

@@ -8,13 +8,14 @@ from typing import Protocol
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 
 TURN = 2 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
-class SampledController:
+class SampledController(Brief):
     r"""Discrete-time controller from the measured disc position to the references.
 
     .. math:: x_{k+1} = A x_k + B e_k, \quad w_k = C x_k + D e_k, \quad

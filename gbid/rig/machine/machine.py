@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.rig.machine.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
 from gbid.rig.machine.piezo import PiezoStacks
@@ -34,7 +35,7 @@ def fixed_array(owner: str, name: str, values: npt.ArrayLike, shape: tuple[int, 
 
 
 @dataclass(frozen=True, eq=False)
-class RotorBearingTruth:
+class RotorBearingTruth(Brief):
     r"""True parameters of rotor and gas bearing at one operating point (paper, Eqs. 5 to 8), with exact delays.
 
     .. math:: \ddot p = K p + D \dot p + B u_\tau, \quad u_\tau = [u_x(t - \tau_x), u_y(t - \tau_y)]
@@ -116,7 +117,7 @@ class RotorBearingTruth:
 
 
 @dataclass(frozen=True, eq=False)
-class ActuatorTruth:
+class ActuatorTruth(Brief):
     r"""True parameters of the controlled piezo pairs, from reference r to position difference u (paper, Eq. 12).
 
     .. math:: G_{a,j}(s) = \frac{\kappa_j}{(s/p_{1,j} + 1)(s/p_{2,j} + 1)}
@@ -175,7 +176,7 @@ class Unbalance:
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class Machine(Brief):
     """Machine of the virtual test rig at one operating point.
 
     Parameters

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 
 N_PLAYS = 10
@@ -198,7 +199,7 @@ def _published_stacks() -> tuple[PiezoStack, ...]:
 
 
 @dataclass(frozen=True)
-class PiezoStacks:
+class PiezoStacks(Brief):
     """Four piezo stacks, controlled in pairs by the differential principle (Eqs. 1 and 2).
 
     ``r_p = r_0 + [r_y, r_x, -r_y, -r_x]`` and ``u = [y_2 - y_4, y_1 - y_3]``.

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 
 TURN = 2 * np.pi
@@ -26,7 +27,7 @@ def _default_phase() -> FloatArray:
 
 
 @dataclass(frozen=True, eq=False)
-class SensorChain:
+class SensorChain(Brief):
     """Sensors of the rig: eddy-current probes (p), piezo strain gauges (u) and a shaft encoder (phi).
 
     Run-out is the signal of the probes when the disc turns without moving. It comes from the roundness of the disc and

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import expm
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.rig.machine.machine import ActuatorTruth, RotorBearingTruth, Unbalance
 from gbid.threads import one_blas_thread
@@ -29,7 +30,7 @@ _U, _P = 1, slice(2, 4)  # states of one chain: a, u, q_x, q_y, their velocities
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
+class Motion(Brief):
     """True motion on a fine time grid, without sensors.
 
     Attributes

@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
 from gbid.rig.excitation.staircase import StackStaircase
@@ -28,7 +29,7 @@ _CHUNK = 2000
 
 
 @dataclass(frozen=True, eq=False)
-class SteppedMotion:
+class SteppedMotion(Brief):
     """Result of the time stepping, one row per sample.
 
     Attributes

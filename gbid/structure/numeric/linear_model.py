@@ -10,9 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.discretise import discretise, propagate
 from gbid.errors import UsageError
+from gbid.extras import Pictured
 from gbid.hdf5 import Stored
 from gbid.poles import oscillatory_modes
 from gbid.structure.numeric.checked_fields import checked_fields
@@ -22,7 +23,7 @@ from gbid.structure.numeric.sampled_run import check_sample_time, sampled_run
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel:
+class LinearModel(Brief, Pictured):
     """State-space model ``xd = A x + B u + K e``, ``y = C x + D u + e``, or the same in discrete time.
 
     Parameters
@@ -77,7 +78,7 @@ class LinearModel:
         time = "continuous time" if self.dt is None else f"samples of {self.dt:g} s"
         return f"{self.name}, {len(self.A)} states, {time}" + (", exact delays" if self.delay is not None else "")
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         modes = [f"{frequency:.2f} Hz, damping {damping:.4f}" for frequency, damping in self.modes()]
         delay = {} if self.delay is None else {"delay": self.delay}
         return brief(
@@ -229,6 +230,8 @@ class LinearModel:
         """
         F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
         y = np.asarray(outputs, float)
+        if y.ndim == 1 and self.C.shape[0] == 1:
+            y = y[:, None]
         if y.shape != (len(u), self.C.shape[0]) or not np.isfinite(y).all():
             expected = (len(u), self.C.shape[0])
             raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")

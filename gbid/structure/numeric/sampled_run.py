@@ -52,6 +52,8 @@ def sampled_run(
         As for `LinearModel.simulate`.
     """
     u = np.asarray(inputs, float)
+    if u.ndim == 1 and model.B.shape[1] == 1:
+        u = u[:, None]
     if u.ndim != 2 or u.shape[1] != model.B.shape[1]:
         raise UsageError(f"model {model.name!r}: inputs have shape {u.shape}, expected (n_samples, {model.B.shape[1]})")
     if not np.isfinite(u).all():

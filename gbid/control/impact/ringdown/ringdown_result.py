@@ -10,6 +10,7 @@ import numpy as np
 from scipy.stats import norm
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.impact.ringdown.basis import Scale
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import UsageError
@@ -27,7 +28,7 @@ class RingDownStatus(StrEnum):
 
 
 @dataclass(frozen=True, eq=False)
-class RingDown:
+class RingDown(Brief):
     """Two modes from ring-downs, as `fit_ringdown` returns them.
 
     Attributes

@@ -9,12 +9,13 @@ import numpy as np
 from scipy.signal import csd
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.recording import Recording
 
 
 @dataclass(frozen=True, eq=False)
-class DisturbanceSpectrum:
+class DisturbanceSpectrum(Brief):
     """Disturbance d of the measured position in the open loop, as a one-sided spectrum.
 
     Parameters

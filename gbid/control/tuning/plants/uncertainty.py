@@ -8,13 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv import TERMS, basis
 from gbid.structure import KEY_PARAMETERS
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class Uncertainty(Brief):
     """Uncertainty of the key parameters of a model.
 
     Parameters

@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import beta, binom
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.search.problem import GainProblem
 
@@ -17,7 +18,7 @@ HOLDS = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class PlantDraws:
+class PlantDraws(Brief):
     """Performance of a design on drawn plants, each the worst of the operating points.
 
     Attributes

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.controllers.scheduled import Scheduled
 from gbid.control.tuning.goals.goal import Goal
 from gbid.control.tuning.robust.tune_robust import RobustDesign, tune_robust
@@ -16,7 +16,7 @@ from gbid.structure.linear import Structure
 
 
 @dataclass(frozen=True, eq=False)
-class PriceOfRobustness:
+class PriceOfRobustness(Brief):
     """Robust designs for rising probabilities, beside what the nominal design promises.
 
     Attributes
@@ -44,7 +44,7 @@ class PriceOfRobustness:
         """Objective that each design promises with its probability."""
         return tuple(design.promised for design in self.designs)
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         lines = {
             f"probability {p:g}": f"{d.promised:.4g}, limits {d.keeps_limits:.3g}"
             for p, d in zip(self.probabilities, self.designs, strict=True)

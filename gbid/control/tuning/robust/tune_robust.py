@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.tuning.gain_result import GainResult
@@ -29,7 +29,7 @@ _FRESH_SEED = 7919
 
 
 @dataclass(frozen=True, eq=False)
-class RobustDesign:
+class RobustDesign(Brief):
     """Design for plants drawn from an uncertainty.
 
     Attributes
@@ -65,7 +65,7 @@ class RobustDesign:
         """Whether the promise is finite and the limits hold with the stated probability at this confidence."""
         return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{self.result.objective} {self.promised:.4g} with probability {self.probability:g}",

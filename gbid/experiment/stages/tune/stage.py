@@ -116,9 +116,9 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
     item = surfaces_item(experiment, section)
     if item is None:
         model = named_model(experiment, section)
-        source, published = repr(model), published_design(experiment, model)
+        sources, published = [], published_design(experiment, model)
     elif item in surfaces:
-        source = surfaces[item]
+        model, sources = None, [surfaces[item]]
         published = published_design(experiment, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")).model)
     else:
         raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
@@ -126,9 +126,10 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
         **section.model_dump(),
         "text": structure_text(experiment, section).decode(errors="replace"),
         "sampled_at": sample_time(experiment, section),
-        "published": repr(published),
+        "published": published,
+        "model": model,
     }
-    return content_key("tuned design", settings, [source])
+    return content_key("tuned design", settings, sources)
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:

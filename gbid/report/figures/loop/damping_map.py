@@ -11,6 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.report.figures.canvas import (
     BLACK,
     RED,
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class DampingMap:
+class DampingMap(Brief):
     """Smallest damping factor over the operating range.
 
     Attributes

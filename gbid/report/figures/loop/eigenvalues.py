@@ -11,6 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.brief import Brief
 from gbid.report.figures.canvas import (
     BLACK,
     GREY,
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Eigenvalues:
+class Eigenvalues(Brief):
     """Poles of several models.
 
     Attributes
@@ -90,7 +91,7 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
 
 
 @dataclass(frozen=True, eq=False)
-class RootLocus:
+class RootLocus(Brief):
     """Poles of a closed loop over a factor on the controller.
 
     Attributes

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
@@ -33,7 +34,7 @@ _BEFORE_S = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactLoops:
+class ImpactLoops(Brief):
     """Mean responses of several loops to impacts.
 
     Attributes

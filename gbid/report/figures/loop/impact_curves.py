@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
 from gbid.errors import UsageError
@@ -34,7 +35,7 @@ _BEFORE = 25  # number of samples shown before an impact
 
 
 @dataclass(frozen=True, eq=False)
-class ImpactCurves:
+class ImpactCurves(Brief):
     """Responses of the disc to impacts.
 
     Attributes

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import ComplexArray, FloatArray
+from gbid.brief import Brief
 from gbid.control import sensitivity_data
 from gbid.errors import UsageError
 from gbid.operating_point import point_label
@@ -36,7 +37,7 @@ _RANGE_DB = 90.0
 
 
 @dataclass(frozen=True, eq=False)
-class MagnitudeCurves:
+class MagnitudeCurves(Brief):
     """Frequency responses of several transfer functions, with a panel for each pair of channels.
 
     Attributes

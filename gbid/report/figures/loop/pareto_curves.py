@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.control.tuning.gain_result import GainResult
 from gbid.report.figures.canvas import (
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class ParetoCurves:
+class ParetoCurves(Brief):
     """Pareto fronts of robustness and damping, and single designs.
 
     Attributes

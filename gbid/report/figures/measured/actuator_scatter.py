@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray
+from gbid.brief import Brief
 from gbid.report.figures.canvas import (
     BLACK,
     BLUE,
@@ -31,7 +32,7 @@ _ROWS = (("kappa", "\\kappa_{a,%s}", "m/m", 1.0), ("p1", "p_{1,%s}", "rad/s", 1.
 
 
 @dataclass(frozen=True, eq=False)
-class ActuatorParameters:
+class ActuatorParameters(Brief):
     """Parameters of the actuators for each recording.
 
     Attributes

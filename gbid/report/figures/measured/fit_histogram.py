@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gbid.arrays import FloatArray, IntArray
+from gbid.brief import Brief
 from gbid.report.figures.canvas import (
     BLACK,
     RED,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Histogram:
+class Histogram(Brief):
     """Histogram of the fit of one output.
 
     Attributes

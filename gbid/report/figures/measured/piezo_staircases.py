@@ -11,6 +11,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.brief import Brief
 from gbid.characterise import PiezoCurve
 from gbid.errors import UsageError
 from gbid.recording import Recording
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class PiezoStaircase:
+class PiezoStaircase(Brief):
     """Staircase of one piezo.
 
     Attributes

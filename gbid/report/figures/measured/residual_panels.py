@@ -12,7 +12,9 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
+from gbid.report.figures.canvas import styled
 from gbid.report.figures.save import STYLE, symbol
 from gbid.tables.numbers import probability
 
@@ -26,7 +28,7 @@ _ROW_INCHES, _FRAME_INCHES, _COLUMN_INCHES = 1.3, 1.25, 2.1
 
 
 @dataclass(frozen=True, eq=False)
-class ResidualPanel:
+class ResidualPanel(Brief):
     """Correlation of a residual with itself or with an input.
 
     Attributes
@@ -112,14 +114,15 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
     return figure
 
 
-def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]] | None = None) -> npt.NDArray[np.object_]:
-    """Draw the correlations of a residual test into given axes, or those of a new figure.
+@styled
+def plot_residuals(test: ResidualTest, ax: Sequence[Sequence[Axes]] | None = None) -> npt.NDArray[np.object_]:
+    """Draw the correlations of a residual test with the band of white residuals.
 
     Parameters
     ----------
     test : ResidualTest
         Result of `gbid.check_residuals`.
-    axes : sequence of rows of matplotlib Axes, optional
+    ax : array of matplotlib Axes, optional
         Row of axes for each output: autocorrelation, then cross-correlation with each input. A new figure with a title
         when left out.
 
@@ -133,10 +136,10 @@ def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]] | None = N
     UsageError
         When there are too few axes.
     """
-    if axes is None:
+    if ax is None:
         n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
         return np.array(residuals_figure(test).axes[: n_rows * n_columns], dtype=object).reshape(n_rows, n_columns)
-    rows = residuals_data(test)
+    axes, rows = ax, residuals_data(test)
     if len(axes) < len(rows) or any(len(row) < len(panels) for row, panels in zip(axes, rows, strict=False)):
         raise UsageError(f"residuals need {len(rows)} rows of {len(rows[0])} axes")
     for j, panels in enumerate(rows):
@@ -144,8 +147,8 @@ def plot_residuals(test: ResidualTest, axes: Sequence[Sequence[Axes]] | None = N
             _plot_panel(panel, axes[j][i])
         white = "white" if test.white[j] else "not white"
         _say(axes[j][0], f"{white}, {probability(test.p_white[j])}")
-        for ax, source, p in zip(axes[j][1:], test.input_names, test.p_independent[j], strict=False):
-            _say(ax, f"{'follow' if source in test.follows[j] else 'independent'}, {probability(p)}")
+        for panel_ax, source, p in zip(axes[j][1:], test.input_names, test.p_independent[j], strict=False):
+            _say(panel_ax, f"{'follow' if source in test.follows[j] else 'independent'}, {probability(p)}")
         axes[j][0].set_ylabel(symbol(panels[0].output))
     for i, panel in enumerate(rows[0]):
         _milliseconds_above(axes[0][i], panel)

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib as mpl
 import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray
@@ -14,8 +14,9 @@ from gbid.errors import DataError, UsageError
 from gbid.experiment.stages.crossval.pairing import validate_pair
 from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.stage import fit_path
+from gbid.report.figures.canvas import panels, styled
 from gbid.report.figures.named import NamedFigure
-from gbid.report.figures.save import STYLE, symbol
+from gbid.report.figures.save import symbol
 from gbid.report.reader import Results
 
 if TYPE_CHECKING:
@@ -59,30 +60,36 @@ def response_figure(
     UsageError
         When the part shown has fewer than two samples.
     """
-    with mpl.rc_context(fname=STYLE):
-        n_panels = len(validation.output_names) + (1 if validation.input_names else 0)
-        width = mpl.rcParams["figure.figsize"][0]
-        figure = Figure(figsize=(width, _FRAME_INCHES + _PANEL_INCHES * n_panels), layout="constrained")
-        axes = figure.subplots(n_panels, 1, sharex=True, squeeze=False)[:, 0]
-        plot_response(validation, list(axes), from_s=from_s, to_s=to_s)
-        figure.suptitle(_title(validation) if title is None else title, fontsize=10)
-        figure.align_ylabels(list(axes))
+    axes = plot_response(validation, from_s=from_s, to_s=to_s)
+    figure: Figure = axes[0].figure
+    figure.suptitle(_title(validation) if title is None else title, fontsize=10)
+    figure.align_ylabels(list(axes))
     return figure
 
 
+@styled
 def plot_response(
-    validation: Validation, axes: Sequence[Axes], *, from_s: float | None = None, to_s: float | None = None
-) -> None:
-    """Draw measured and simulated outputs, and the inputs, into given axes.
+    validation: Validation,
+    ax: Axes | npt.ArrayLike | None = None,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> npt.NDArray[np.object_]:
+    """Draw measured and simulated outputs, with the inputs below.
 
     Parameters
     ----------
     validation : Validation
         Result of `gbid.cross_validate`.
-    axes : sequence of matplotlib Axes
-        Axes for each output. Further axes, if given, show the inputs.
+    ax : array of matplotlib Axes, optional
+        Axes for each output. Further axes, if given, show the inputs. A new figure when left out.
     from_s, to_s : float, optional
         Start and end of the part shown [s]; the whole recording when left out.
+
+    Returns
+    -------
+    (n_panels,) array of matplotlib Axes
+        The axes; ``axes[0].figure`` is the figure.
 
     Raises
     ------
@@ -92,6 +99,12 @@ def plot_response(
     shown = _part(validation.time, from_s, to_s)
     time = validation.time[shown]
     n_outputs = len(validation.output_names)
+    if ax is None:
+        n_panels = n_outputs + (1 if validation.input_names else 0)
+        size = (mpl.rcParams["figure.figsize"][0], _FRAME_INCHES + _PANEL_INCHES * n_panels)
+        _, axes = panels(None, n_panels, 1, size=size, sharex=True)
+    else:
+        axes = list(np.ravel(np.array(ax, dtype=object)))
     if len(axes) < n_outputs:
         raise UsageError(f"{len(axes)} axes for {n_outputs} outputs; give one for each, and one for the inputs")
     for i, (name, unit) in enumerate(zip(validation.output_names, validation.output_units, strict=True)):
@@ -107,6 +120,7 @@ def plot_response(
     _legend_above(axes[0])
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_xlim(time[0], time[-1])
+    return np.array(axes, dtype=object)
 
 
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray
+from gbid.brief import Brief
 from gbid.characterise import StaticMap
 from gbid.operating_point import point_label
 from gbid.report.figures.canvas import (
@@ -32,7 +33,7 @@ _MICROMETRES = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class StaticSweep:
+class StaticSweep(Brief):
     """Positions at rest along a rising and falling staircase of one input.
 
     Attributes

@@ -59,7 +59,7 @@ def _common_grid(models: Mapping[str, UncertainModel]) -> FloatArray:
 
 @styled
 def plot_bode(
-    sources: Sources,
+    sources: Sources | MeasuredResponse,
     ax: Axes | npt.ArrayLike | None = None,
     *,
     frequency_hz: npt.ArrayLike | None = None,
@@ -70,8 +70,8 @@ def plot_bode(
 
     Parameters
     ----------
-    sources : LinearModel or FitResult, sequence of them, or dict of str to them
-        The models. Those of a fit have confidence bands.
+    sources : LinearModel or FitResult, sequence of them, or dict of str to them; or MeasuredResponse
+        The models. Those of a fit have confidence bands. A measured response may stand alone.
     ax : array of matplotlib Axes, optional
         Axes with a column for each input, and for each output a row of magnitudes and one of phases; with `measured`
         also one of coherences. A new figure when left out.
@@ -92,13 +92,13 @@ def plot_bode(
     UsageError
         When there are too few axes, or when the measurement has other channels than the models.
     """
-    if frequency_hz is None and measured is not None:
-        grid = _common_grid(labelled(sources))
-        low, high = measured.frequency_hz[[0, -1]]
-        frequency_hz = np.unique(np.concatenate([grid[(grid > low) & (grid < high)], [low, high]]))
-    curves = bode_data(sources, frequency_hz)
-    first = next(iter(curves.values()))
-    n_y, n_u = first.response.shape[1:]
+    shape: Bode | MeasuredResponse
+    if isinstance(sources, MeasuredResponse):
+        measured, curves, shape = sources, {}, sources
+    else:
+        curves = bode_data(sources, _within(measured, sources) if frequency_hz is None else frequency_hz)
+        shape = next(iter(curves.values()))
+    n_y, n_u = shape.response.shape[1:]
     if measured is not None and measured.response.shape[1:] != (n_y, n_u):
         raise UsageError(
             f"the measured response has {' x '.join(map(str, measured.response.shape[1:]))} outputs and inputs, the "
@@ -122,9 +122,9 @@ def plot_bode(
             for k, (label, curve) in enumerate(curves.items()):
                 _draw(column[0], column[1], curve, i, j, level, label, series(k, marker=None))
             if measured is not None:
-                _draw_measured(column, measured, first, i, j)
+                _draw_measured(column, measured, next(iter(curves.values()), None), i, j)
             column[0].set_title(
-                f"{symbol(first.input_names[j])} to {symbol(first.output_names[i])}", loc="right", pad=4
+                f"{symbol(shape.input_names[j])} to {symbol(shape.output_names[i])}", loc="right", pad=4
             )
             for panel, kind in zip(column, kinds, strict=True):
                 if j == 0:
@@ -132,8 +132,8 @@ def plot_bode(
     for j, panel in enumerate(axes[-1]):
         panel.set_xlabel("frequency [Hz]")
         for each in axes[:, j]:
-            frequency_axis(each, first.frequency_hz[0], first.frequency_hz[-1])
-    if len(curves) > 1 or measured is not None or first.has_band:
+            frequency_axis(each, shape.frequency_hz[0], shape.frequency_hz[-1])
+    if len(curves) + (measured is not None) > 1 or any(curve.has_band for curve in curves.values()):
         legend_above(figure, axes[0, 0], columns=4)
     return axes
 
@@ -156,15 +156,27 @@ def _draw(
     phase.fill_between(f, np.maximum(low, middle - 180), np.minimum(high, middle + 180), **band)
 
 
-def _draw_measured(column: npt.NDArray[np.object_], measured: MeasuredResponse, model: Bode, i: int, j: int) -> None:
+def _within(measured: MeasuredResponse | None, sources: Sources) -> FloatArray | None:
+    """Return frequencies that show the poles of all models within the band of a measurement [Hz]."""
+    if measured is None:
+        return None
+    grid = _common_grid(labelled(sources))
+    low, high = measured.frequency_hz[[0, -1]]
+    return np.unique(np.concatenate([grid[(grid > low) & (grid < high)], [low, high]]))
+
+
+def _draw_measured(
+    column: npt.NDArray[np.object_], measured: MeasuredResponse, model: Bode | None, i: int, j: int
+) -> None:
     f, value = measured.frequency_hz, measured.response[:, i, j]
     clear = measured.std[:, i, j] < 0.5 * np.abs(value)
     limits = column[0].get_ylim()  # those of the model: where there is only noise, the points lie anywhere
     column[0].loglog(f[clear], np.abs(value[clear]), label="measured", **_MEASURED)
-    column[0].set_ylim(0.5 * limits[0], 2 * limits[1])
-    near = np.interp(f, model.frequency_hz, model.phase_deg[:, i, j])
     phase = np.degrees(np.angle(value))
-    phase = phase + 360 * np.round((near - phase) / 360)  # on the turn of the model
+    if model is not None:
+        column[0].set_ylim(0.5 * limits[0], 2 * limits[1])
+        near = np.interp(f, model.frequency_hz, model.phase_deg[:, i, j])
+        phase = phase + 360 * np.round((near - phase) / 360)  # on the turn of the model
     column[1].semilogx(f[clear], phase[clear], **_MEASURED)
     column[2].semilogx(f, measured.coherence[:, i], color=GREY, linewidth=0.9)
     column[2].set_ylim(0.0, 1.05)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.identify.curves.bode import LEVEL, quantile
 from gbid.identify.curves.pole_zero import pole_zero
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Campbell:
+class Campbell(Brief):
     """Natural frequencies of models over speed.
 
     Attributes

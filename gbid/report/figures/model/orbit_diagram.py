@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.identify import select
 from gbid.recording import Recording
@@ -22,7 +23,7 @@ _SECTORS = 90  # of a revolution, for its mean
 
 
 @dataclass(frozen=True, eq=False)
-class Orbit:
+class Orbit(Brief):
     """Orbit of a shaft about its mean position.
 
     Attributes

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv import CHARACTERISTICS, LPVFit
 from gbid.operating_point import point_label
@@ -39,7 +40,7 @@ _MODES = {"frequency": "omega", "damping": "zeta"}
 
 
 @dataclass(frozen=True, eq=False)
-class PressurePanel:
+class PressurePanel(Brief):
     """Quantity over injection pressure, with estimates.
 
     Attributes

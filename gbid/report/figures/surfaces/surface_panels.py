@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv import LPVFit
 from gbid.report.figures.canvas import (
@@ -39,7 +40,7 @@ _PAIRS = ("xx", "xy", "yx", "yy")
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class Surface(Brief):
     """Key parameter over the operating range, with estimates.
 
     Attributes
