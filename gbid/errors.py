@@ -41,5 +41,9 @@ class ThresholdError(GbidError):
     exit_code = 5
 
 
+class ChangedFileWarning(UserWarning):
+    """A file was changed after gbid wrote it; what was loaded has no place for a note."""
+
+
 class ExtrapolationWarning(UserWarning):
     """A model is evaluated outside the domain it was identified on."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from gbid.errors import UsageError
+from gbid.text_checksum import is_changed, with_text_checksum
+
+CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
 
 
 @dataclass(frozen=True)
@@ -24,11 +28,14 @@ class YamlFile:
     path : pathlib.Path
     data : dict
         Plain Python values.
+    notes : tuple of str
+        Says when the file was changed after gbid wrote it.
     """
 
     path: Path
     data: dict[str, Any]
     _tree: CommentedMap
+    notes: tuple[str, ...] = ()
 
     def position(self, location: Sequence[str | int]) -> str:
         """Return ``file:line:col`` of a value by its keys; of the nearest one above when it is not there."""
@@ -58,7 +65,8 @@ def read_yaml(path: Path) -> YamlFile:
         than a mapping.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        content = path.read_bytes()
+        text = content.decode()
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; check its name and folder") from None
     except UnicodeDecodeError as error:
@@ -77,7 +85,8 @@ def read_yaml(path: Path) -> YamlFile:
     if not isinstance(tree, CommentedMap):
         found = "nothing" if tree is None else type(plain(tree)).__name__
         raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
-    return YamlFile(path, plain(tree), tree)
+    notes = (f"{path}: {CHANGED}",) if is_changed(content) else ()
+    return YamlFile(path, plain(tree), tree, notes)
 
 
 def plain(value: Any) -> Any:
@@ -92,13 +101,15 @@ def plain(value: Any) -> Any:
     return value
 
 
-def write_yaml(data: dict[str, Any], path: Path) -> None:
-    """Write plain values; lists of numbers and pairs on one line, floats with all their digits."""
+def write_yaml(data: dict[str, Any], path: Path, comment: str = "") -> None:
+    """Write plain values, and a comment above them; lists of numbers and pairs on one line, floats with all digits."""
     yaml = YAML(typ="rt")
     yaml.width = 4096
     yaml.indent(mapping=2, sequence=4, offset=2)
-    with path.open("w", encoding="utf-8") as handle:
-        yaml.dump(_styled(data), handle)
+    text = StringIO()
+    text.write(f"# {comment}\n" if comment else "")
+    yaml.dump(_styled(data), text)
+    path.write_bytes(with_text_checksum(text.getvalue(), ".yaml").encode())
 
 
 def _styled(value: Any) -> Any:

@@ -21,7 +21,8 @@ def check(
 ) -> None:
     """Check an experiment YAML, the data that it imports and the disk space for its results; report all problems."""
     with guarded(as_json, debug):
-        from gbid.cli.printing import print_json
+        from gbid.cli.printing import print_json, print_notes
+        from gbid.experiment.changed_files import changed_files
         from gbid.experiment.data_checks import find_data_problems, size
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages.importing.stage import find_import_problems
@@ -33,6 +34,7 @@ def check(
             if text not in reported:
                 problems.append(f"{loaded.file.position(planned.location)}: {text}")
                 code = max(code, own)
+        print_notes(changed_files(loaded))
         for text in problems:
             typer.echo(f"gbid: error: {text}", err=True)
         spec = loaded.spec

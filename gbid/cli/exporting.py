@@ -62,7 +62,7 @@ def export(
 ) -> None:
     """Write models and controllers for other programs."""
     with guarded(as_json, debug):
-        from gbid.cli.printing import print_json
+        from gbid.cli.printing import print_json, print_notes
         from gbid.exporters.export_target import ExportRequest
         from gbid.exporters.finding import find_exports
         from gbid.exporters.writing import write_exports
@@ -72,8 +72,9 @@ def export(
         request = ExportRequest(output or found.folder, overwrite, at, number, measure, mass)
         files = [str(path) for path in write_exports(found, to, request)]
         if as_json:
-            print_json({"files": files, "left_out": list(found.left_out)})
+            print_json({"files": files, "left_out": list(found.left_out), "notes": list(found.notes)})
         else:
             typer.echo("\n".join(files))
+        print_notes(found.notes)
         for text in found.left_out:
             typer.echo(f"gbid: warning: left out: {text}", err=True)

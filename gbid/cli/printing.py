@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +14,12 @@ if TYPE_CHECKING:
     from gbid.tables.table import Table
 
 _PIPE_WIDTH = 140
+
+
+def print_notes(notes: Iterable[str]) -> None:
+    """Print notes on standard error, one a line."""
+    for text in notes:
+        typer.echo(f"gbid: note: {text}", err=True)
 
 
 def print_json(document: Mapping[str, Any]) -> None:

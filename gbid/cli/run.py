@@ -26,10 +26,11 @@ def run(
         from gbid.campaign.run import run_campaign, working
         from gbid.cli.documents import campaign_document
         from gbid.cli.ending import finish, outcome_rows
-        from gbid.cli.printing import print_json, print_tables
+        from gbid.cli.printing import print_json, print_notes, print_tables
         from gbid.cli.progress import reporting
         from gbid.cli.tally import MANY
         from gbid.cli.views import view_of
+        from gbid.experiment.changed_files import changed_files
         from gbid.experiment.load import load_experiment
         from gbid.experiment.run.stage import run_stage
         from gbid.experiment.stages import registry
@@ -39,6 +40,7 @@ def run(
         from gbid.report.tables.campaign_tables import campaign_tables
 
         loaded = load_experiment(experiment, results)
+        print_notes(changed_files(loaded))
         with (
             reporting() as reporter,
             working(loaded, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,

@@ -9,10 +9,11 @@ from typing import Any
 
 from gbid.campaign.run import working
 from gbid.cli.ending import finish, outcome_rows
-from gbid.cli.printing import print_json, print_tables
+from gbid.cli.printing import print_json, print_notes, print_tables
 from gbid.cli.progress import reporting
 from gbid.cli.views import view_of
 from gbid.errors import UsageError
+from gbid.experiment.changed_files import changed_files
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
@@ -46,6 +47,7 @@ def opened(path: Path, sections: Sequence[str], results: Path | None, hint: str 
     if not any(experiment.file.data.get(section) for section in sections):
         words = " or ".join(repr(section) for section in sections)
         raise UsageError(f"{path}: no section {words}; add one{hint}")
+    print_notes(changed_files(experiment))
     with reporting() as reporter, working(experiment, reporter=reporter, **options) as job:
         yield job
 

@@ -18,6 +18,7 @@ from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
 from gbid.hdf5 import changing, has_valid_checksum
+from gbid.text_checksum import add_text_checksum, is_changed
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
@@ -72,8 +73,9 @@ def stored_key(path: Path) -> str:
             has_valid_checksum(path)
             with h5py.File(path, "r") as file:
                 return str(file.attrs.get(ATTRIBUTE, ""))
-        found = _IN_TEXT.search(path.read_bytes())
-        return found[1].decode() if found else ""
+        content = path.read_bytes()
+        found = _IN_TEXT.search(content)
+        return found[1].decode() if found and not is_changed(content) else ""
     except (OSError, DataError):
         return ""
 
@@ -96,7 +98,8 @@ def is_current(path: Path, key: str, overwrite: bool) -> bool:
     if overwrite:
         return False
     if not found:
-        raise DataError(f"{path}: damaged, truncated or not made by an experiment; remove it or use --overwrite")
+        words = "damaged, changed after it was made, or not made by an experiment"
+        raise DataError(f"{path}: {words}; remove it or use --overwrite")
     raise UsageError(
         f"{path} was made with other settings or data, or by another version of gbid; "
         "use --overwrite to replace it, or --results to write elsewhere"
@@ -111,6 +114,8 @@ def writing_keyed(path: Path, key: str) -> Iterator[Path]:
         if path.suffix == ".h5":
             with changing(part) as file:
                 file.attrs[ATTRIBUTE] = key
+        else:
+            add_text_checksum(part, path.suffix)
 
 
 def _plain(value: Any) -> Any:

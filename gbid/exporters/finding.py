@@ -37,12 +37,15 @@ class Exports:
         Folder of the files when the user names none.
     left_out : tuple of str
         Reason for each item that could not be read.
+    notes : tuple of str
+        What a user should know about the files that were read.
     """
 
     source: str
     items: tuple[ExportItem, ...]
     folder: Path
     left_out: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 def find_exports(source: str, at: Point | None = None, results: Path | None = None) -> Exports:
@@ -76,11 +79,12 @@ def find_exports(source: str, at: Point | None = None, results: Path | None = No
     if path.suffix in (".yaml", ".yml"):
         kind = read_yaml(path).data.get("kind")
         if kind == "controller":
-            return Exports(source, (_controller_item(load_controller(path)),), Path())
+            design = load_controller(path)
+            return Exports(source, (_controller_item(design),), Path(), notes=design.notes)
         if kind != "lpv_model":
             return _of_experiment(path, at, results)
     model = load_model(source)
-    return Exports(source, _of_model(identifier(model.name), model, at), Path())
+    return Exports(source, _of_model(identifier(model.name), model, at), Path(), notes=model.notes)
 
 
 def identifier(text: str) -> str:
@@ -120,16 +124,19 @@ def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Export
                 items += _of_model(identifier(file.stem), load_model(file), at)
         except GbidError as error:
             left_out.append(str(error))
+    notes = [note for item in items if isinstance(item.what, LPVModel) for note in item.what.notes]
     around = Surroundings(made_maps(job), chain_options(job.experiment))
     for name in job.experiment.spec.controller:
         try:
-            items.append(_controller_item(_tuned(job, name), around))
+            design = _tuned(job, name)
+            items.append(_controller_item(design, around))
+            notes += design.notes
         except GbidError as error:
             left_out.append(str(error))
     if not items:
         reason = f": {left_out[0]}" if left_out else ""
         raise DataError(f"{path}: no models and no controllers in {folder} yet{reason}; run `gbid run {path}` first")
-    return Exports(str(path), tuple(items), folder / FOLDER, tuple(left_out))
+    return Exports(str(path), tuple(items), folder / FOLDER, tuple(left_out), tuple(notes))
 
 
 def _tuned(job: Job, name: str) -> ControllerDesign:

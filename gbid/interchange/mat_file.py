@@ -20,6 +20,7 @@ from gbid.lpv.basis import TERMS
 from gbid.lpv.model_file import SI_UNITS
 from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS, LinearModel
+from gbid.text_checksum import with_text_checksum
 
 Exportable = LinearModel | FitResult | LPVModel
 """Types that can be exported to other programs."""
@@ -80,7 +81,7 @@ def save_mat(
     with atomic_path(path, overwrite) as part, part.open("wb") as handle:
         savemat(handle, contents, oned_as="column", long_field_names=True)
     with atomic_path(function, overwrite) as part:
-        part.write_text(text, encoding="utf-8")
+        part.write_bytes(with_text_checksum(text, function.suffix).encode())
     return [path, function]
 
 

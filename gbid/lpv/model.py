@@ -53,6 +53,8 @@ class LPVModel(Brief):
         Corrections of the tables of the source; they are already applied to the coefficients.
     title, source : str
         Title, and publication or origin of the model.
+    notes : tuple of str
+        What a user should know about the file from which it was loaded: that it was changed by hand.
 
     Raises
     ------
@@ -73,6 +75,7 @@ class LPVModel(Brief):
     corrections: tuple[Correction, ...] = ()
     title: str = ""
     source: str = ""
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self) -> None:
         where = f"model {self.name!r}"
@@ -108,6 +111,7 @@ class LPVModel(Brief):
             actuators=self.actuators,
             operating_points=f"{len(self.operating_points)}",
             source=self.source,
+            notes="; ".join(self.notes),
         )
 
     def key_parameters(self, pressure_bar: Any, speed_rpm: Any, *, extrapolate: bool = False) -> dict[str, Any]:

@@ -119,6 +119,7 @@ def parse(file: YamlFile) -> LPVModel:
             corrections=(*table.applied_corrections, *table.corrections),
             title=table.title,
             source=table.source,
+            notes=file.notes,
         )
     except UsageError as error:
         raise UsageError(f"{file.path}: {error}") from None

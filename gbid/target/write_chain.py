@@ -11,6 +11,7 @@ from gbid.target.chain import Chain
 from gbid.target.emulated import run_emulated
 from gbid.target.selftest_rows import FLOAT_TOLERANCE, selftest_rows
 from gbid.target.source import render_source
+from gbid.text_checksum import with_text_checksum
 
 _FILES = {
     ".h": "chain.h.j2",
@@ -75,7 +76,7 @@ def write_chain(chain: Chain, folder: str | Path, *, measure: bool = False, over
             conditions=_conditions(chain),
         )
         with atomic_path(path, overwrite) as part:
-            part.write_text(text, encoding="ascii")
+            part.write_bytes(with_text_checksum(text, path.suffix).encode("ascii"))
     return list(paths)
 
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 from gbid import hdf5
 from gbid.atomic import atomic_path
-from gbid.errors import DataError
+from gbid.errors import ChangedFileWarning, DataError
 from gbid.naming.paths import given_path
 from gbid.tables.table import Table, Value, plain_table
 from gbid.validate.central import ACTUATOR, NominalActuator
@@ -112,9 +113,7 @@ def save_nominal_actuator(
         "left_out": list(nominal.left_out),
     }
     with atomic_path(given_path(path), overwrite) as part:
-        write_yaml({key: value for key, value in contents.items() if value not in ([], {})}, part)
-        if comment:
-            part.write_text(f"# {comment}\n{part.read_text(encoding='utf-8')}", encoding="utf-8")
+        write_yaml({key: value for key, value in contents.items() if value not in ([], {})}, part, comment)
 
 
 def load_actuators(path: str | Path) -> dict[str, float]:
@@ -136,8 +135,16 @@ def load_actuators(path: str | Path) -> dict[str, float]:
         When the file is missing or not YAML.
     DataError
         When the file is of another kind, or a parameter is missing or not a positive number.
+
+    Warns
+    -----
+    ChangedFileWarning
+        When the file was changed by hand after gbid wrote it.
     """
-    data = read_yaml(given_path(path)).data
+    file = read_yaml(given_path(path))
+    for note in file.notes:
+        warnings.warn(note, ChangedFileWarning, stacklevel=2)
+    data = file.data
     found = data.get("actuators")
     if data.get("kind") != ACTUATORS_KIND or not isinstance(found, dict):
         raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); run `gbid run`")

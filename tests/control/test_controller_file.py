@@ -7,8 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from own_controller import own
+from typer.testing import CliRunner
 
 import gbid
+from gbid.cli.main import app
 from gbid.control import BiquadStructure, PStructure, controller_model, sample_controller, scheduled
 from gbid.errors import UsageError
 
@@ -82,7 +84,7 @@ def test_structure_of_ones_own(tmp_path: Path) -> None:
 def test_bad_files(tmp_path: Path) -> None:
     path = tmp_path / "p.yaml"
     gbid.save_controller(path, "P", GAINS)
-    text = path.read_text()
+    text = path.read_text().split("\n", 1)[1]  # without its checksum, as in a file of gbid 0.1
     with pytest.raises(UsageError, match="exists"):
         gbid.save_controller(path, "P", GAINS)
     gbid.save_controller(path, "P", GAINS, overwrite=True)
@@ -109,3 +111,23 @@ def test_bad_files(tmp_path: Path) -> None:
     path.write_text(text)
     with pytest.raises(UsageError, match="leave structure= out"):
         gbid.load_controller(path, own())
+
+
+def test_gains_changed_by_hand(tmp_path: Path) -> None:
+    path = tmp_path / "p.yaml"
+    gbid.save_controller(path, "P", GAINS)
+    assert gbid.load_controller(path).notes == ()
+    path.write_bytes(path.read_bytes().replace(b"value: 1.125", b"value: 1.2").replace(b"\n", b"\r\n"))
+    design = gbid.load_controller(path)
+    assert design.gains["kappa_x"] == 1.2
+    expected = controller_model(gbid.controller_structure("P"), design.gains)
+    np.testing.assert_array_equal(design.models[None].C, expected.C)
+    assert "changed after gbid wrote it" in design.notes[0]
+    assert "computed from the gains" in design.notes[0]
+    assert "continuous C is not what the gains" in design.notes[1]
+    ran = CliRunner().invoke(app, ["export", str(path), "--to", "c", "--output", str(tmp_path)])
+    assert "gbid: note: " in ran.stderr
+    gbid.save_controller(path, own(), {"low": 1.25, "high": -0.5}, overwrite=True)
+    path.write_text(path.read_text().replace("1.25", "1.26", 1))
+    assert "matrices are used as they are stored" in gbid.load_controller(path).notes[0]
+    assert gbid.load_controller(path, own()).models[None].D[0, 0] != gbid.load_controller(path).models[None].D[0, 0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -127,11 +127,14 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
     Returns
     -------
     ControllerDesign
+        The design. Its notes say when the file was changed by hand after gbid wrote it. Its matrices are then computed
+        from the gains and the sampling in the file.
 
     Raises
     ------
     UsageError
-        When the file is missing or faulty (with line and column), or when its matrices do not agree with its gains.
+        When the file is missing or faulty (with line and column). Also when its matrices do not agree with its gains
+        in a file without checksum, or without the structure that gives the matrices.
     """
     file = read_yaml(given_path(path))
     table = parse(file)
@@ -147,12 +150,30 @@ def load_controller(path: str | Path, structure: Structure | Scheduled | None = 
             table.plant,
             table.provenance,
             {_point(model): _model(table, model.continuous) for model in table.models},
+            file.notes,
         )
-        for i, model in enumerate(table.models):
-            _check_matrices(file, design, i, model, _model(table, model.sampled, design.sample_time))
+        differences = [
+            _difference(file, design, i, model, _model(table, model.sampled, design.sample_time))
+            for i, model in enumerate(table.models)
+        ]
     except UsageError as error:
         raise UsageError(str(error) if str(error).startswith(str(file.path)) else f"{file.path}: {error}") from None
-    return design
+    return _from_gains(design, [text for text in differences if text])
+
+
+def _from_gains(design: ControllerDesign, differences: Sequence[str]) -> ControllerDesign:
+    """Return a design whose matrices agree with its gains; those of a file changed by hand are computed anew."""
+    if not design.notes:
+        if differences:
+            raise UsageError(f"{differences[0]}; write the file anew with save_controller")
+        return design
+    if design.structure is None:
+        if differences:
+            raise UsageError(f"{differences[0]}; give its structure: load_controller(path, structure=...)")
+        return replace(design, notes=(f"{design.notes[0]}; its matrices are used as they are stored",))
+    models = {point: design.at(*(point or ())) for point in design.models}
+    words = f"{design.notes[0]}; its matrices are computed from the gains and the sampling in the file"
+    return replace(design, models=models, notes=(words, *differences[:1]))
 
 
 def _contents(
@@ -230,10 +251,10 @@ def _point(model: ControllerModelTable) -> Point | None:
     return (model.pressure_bar, model.speed_rpm)
 
 
-def _check_matrices(
+def _difference(
     file: YamlFile, design: ControllerDesign, i: int, stored: ControllerModelTable, sampled: LinearModel
-) -> None:
-    """Refuse matrices that do not agree with gains and sampling, because only one of them was changed."""
+) -> str:
+    """Return where matrices do not agree with gains and sampling, because only one of them was changed."""
     point = _point(stored) or ()
     for what, found, expected in (
         ("continuous", design.models[_point(stored)], design.at(*point)),
@@ -243,7 +264,6 @@ def _check_matrices(
             given, computed = getattr(found, letter), getattr(expected, letter)
             scale = float(np.abs(computed).max()) if computed.size else 0.0
             if given.shape != computed.shape or not np.allclose(given, computed, rtol=1e-9, atol=1e-9 * scale):
-                raise UsageError(
-                    f"{file.position(('models', i, what, letter))}: {what} {letter} is not what the gains and the "
-                    "sampling give; write the file anew with save_controller"
-                )
+                where = file.position(("models", i, what, letter))
+                return f"{where}: {what} {letter} is not what the gains and the sampling give"
+    return ""

@@ -40,6 +40,8 @@ class ControllerDesign(Brief):
         Additional information, such as limits, value reached, program and date.
     models : dict of (pressure_bar, speed_rpm) or None to LinearModel
         Stored continuous models: one under None, or one per operating point of a scheduled controller.
+    notes : tuple of str
+        What a user should know about the file from which it was loaded: that it was changed by hand.
 
     Raises
     ------
@@ -56,6 +58,7 @@ class ControllerDesign(Brief):
     plant: str = ""
     provenance: Mapping[str, str | float] = field(default_factory=dict)
     models: Mapping[Point | None, LinearModel] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (isfinite(self.sample_time) and self.sample_time > 0):

@@ -1,0 +1,70 @@
+"""Text files with checksums: each writer, changes that are noticed, and changes that are none."""
+
+import random
+
+import pytest
+
+import gbid
+from gbid.interchange import save_csv, save_mat
+from gbid.lpv import load_model, save_model
+from gbid.target import chain_of, write_chain
+from gbid.text_checksum import add_text_checksum, is_changed, with_text_checksum
+
+MODEL = load_model("theisen2016")
+
+
+def controller(folder):
+    gbid.save_controller(folder / "p.yaml", "P", {"kappa_x": 1.125, "kappa_y": 0.99})
+    return [folder / "p.yaml"]
+
+
+def model(folder):
+    save_model(MODEL, folder / "model.yaml")
+    return [folder / "model.yaml"]
+
+
+def matlab(folder):
+    return [save_mat(MODEL, folder / "model.mat")[1]]
+
+
+def table(folder):
+    return [save_csv(MODEL, folder / "model.csv")]
+
+
+def source(folder):
+    controller(folder)
+    chain = chain_of(gbid.load_controller(folder / "p.yaml"))
+    return write_chain(chain, folder)
+
+
+@pytest.mark.parametrize("write", [controller, model, matlab, table, source])
+def test_each_writer(write, tmp_path):
+    for path in write(tmp_path):
+        content = path.read_bytes()
+        assert b" gbid sha256 " in content
+        assert not is_changed(content)
+        assert not is_changed(b"\xef\xbb\xbf" + content.replace(b"\n", b"\r\n") + b"\n")  # as editors save it
+        assert is_changed(content[: len(content) // 2])
+        assert is_changed(content + b"# one more line\n")
+        chance = random.Random(1)
+        for _ in range(100):
+            place = chance.randrange(len(content))
+            damaged = bytearray(content)
+            damaged[place] ^= 1 << chance.randrange(8)
+            assert is_changed(bytes(damaged)) or without_checksum(damaged) == without_checksum(content), place
+
+
+def without_checksum(content):
+    return [line for line in bytes(content).replace(b"\r", b"").rstrip().split(b"\n") if b"sha" not in line]
+
+
+def test_text_of_people_and_new_checksum(tmp_path):
+    assert not is_changed(b"# my sha256 notes\nkind: controller\n")
+    text = with_text_checksum("a: 1\n", ".yaml")
+    again = with_text_checksum(f"# content_key: 12\n{text}", ".yaml")
+    assert again.count("gbid sha256") == 1
+    assert not is_changed(again.encode())
+    path = tmp_path / "page.html"
+    path.write_text("<p>as it is</p>")
+    add_text_checksum(path, path.suffix)
+    assert path.read_text() == "<p>as it is</p>"
