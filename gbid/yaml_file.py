@@ -14,7 +14,7 @@ from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
 
 from gbid.errors import UsageError
-from gbid.text_checksum import is_changed, with_text_checksum
+from gbid.files.text_checksum import is_changed, with_text_checksum
 
 CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
 

@@ -13,10 +13,10 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from gbid.atomic import atomic_path, remove_stale_parts
-from gbid.checksum import has_valid_checksum, with_checksum
 from gbid.compiling.cache_folder import cache_folder, private_folder, why_not_trusted
 from gbid.compiling.compiler import Compiler, CompilerMissingError, compile_source, find_compiler
 from gbid.errors import DataError
+from gbid.files.checksum import has_valid_checksum, with_checksum
 
 # Sums may be reordered, but not -ffast-math: a library linked with it makes the whole process flush small numbers
 # to zero.

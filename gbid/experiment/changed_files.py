@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 from gbid.experiment.experiment import Experiment
-from gbid.text_checksum import is_changed
+from gbid.files.text_checksum import is_changed
 from gbid.yaml_file import CHANGED
 
 

@@ -17,8 +17,8 @@ import h5py
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
+from gbid.files.text_checksum import add_text_checksum, is_changed
 from gbid.hdf5 import changing, has_valid_checksum
-from gbid.text_checksum import add_text_checksum, is_changed
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""

@@ -1,6 +1,6 @@
 """HDF5 files of gbid: atomic writing, checked reading, dataclasses stored by the types of their fields."""
 
-from gbid.checksum import has_valid_checksum
+from gbid.files.checksum import has_valid_checksum
 from gbid.hdf5.entries import (
     DamagedError,
     add_dataset,

@@ -13,8 +13,8 @@ import numpy as np
 
 from gbid._version import __version__
 from gbid.atomic import atomic_path
-from gbid.checksum import has_valid_checksum, with_checksum
 from gbid.errors import DataError
+from gbid.files.checksum import has_valid_checksum, with_checksum
 from gbid.hdf5.entries import DamagedError
 from gbid.naming.paths import given_path
 

@@ -20,7 +20,6 @@ from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS, LinearModel
 from gbid.tables.csv import write_csv
 from gbid.tables.table import Table, Value, plain_table
-from gbid.text_checksum import add_text_checksum
 
 
 def save_csv(
@@ -73,7 +72,6 @@ def save_csv(
         table = _matrices(what)
     with atomic_path(path, overwrite) as part:
         write_csv(table, part)
-        add_text_checksum(part, ".csv")
     return path
 
 

@@ -13,6 +13,7 @@ from scipy.io import savemat
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import UsageError
+from gbid.files.text_checksum import with_text_checksum
 from gbid.identify import FitResult
 from gbid.interchange.m_file import linear_function, lpv_function
 from gbid.lpv import LPVModel
@@ -20,7 +21,6 @@ from gbid.lpv.basis import TERMS
 from gbid.lpv.model_file import SI_UNITS
 from gbid.naming.paths import given_path
 from gbid.structure import KEY_PARAMETERS, LinearModel
-from gbid.text_checksum import with_text_checksum
 
 Exportable = LinearModel | FitResult | LPVModel
 """Types that can be exported to other programs."""

@@ -6,12 +6,12 @@ from pathlib import Path
 
 from gbid.atomic import atomic_path
 from gbid.errors import UsageError
+from gbid.files.text_checksum import with_text_checksum
 from gbid.naming.paths import given_path
 from gbid.target.chain import Chain
 from gbid.target.emulated import run_emulated
 from gbid.target.selftest_rows import FLOAT_TOLERANCE, selftest_rows
 from gbid.target.source import render_source
-from gbid.text_checksum import with_text_checksum
 
 _FILES = {
     ".h": "chain.h.j2",

@@ -142,8 +142,6 @@ def load_actuators(path: str | Path) -> dict[str, float]:
         When the file was changed by hand after gbid wrote it.
     """
     file = read_yaml(given_path(path))
-    for note in file.notes:
-        warnings.warn(note, ChangedFileWarning, stacklevel=2)
     data = file.data
     found = data.get("actuators")
     if data.get("kind") != ACTUATORS_KIND or not isinstance(found, dict):
@@ -152,6 +150,8 @@ def load_actuators(path: str | Path) -> dict[str, float]:
         value = found.get(name)
         if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
             raise DataError(f"{path}: actuators.{name} = {value!r}; expected a positive number")
+    for note in file.notes:
+        warnings.warn(note, ChangedFileWarning, stacklevel=2)
     return {name: float(found[name]) for name in ACTUATOR}
 
 

@@ -5,10 +5,13 @@ import random
 import pytest
 
 import gbid
-from gbid.interchange import save_csv, save_mat
+from gbid.experiment.keys import writing_keyed
+from gbid.files.text_checksum import add_text_checksum, is_changed, with_text_checksum
+from gbid.interchange import save_mat
 from gbid.lpv import load_model, save_model
+from gbid.tables.csv import write_csv
+from gbid.tables.table import plain_table
 from gbid.target import chain_of, write_chain
-from gbid.text_checksum import add_text_checksum, is_changed, with_text_checksum
 
 MODEL = load_model("theisen2016")
 
@@ -28,7 +31,9 @@ def matlab(folder):
 
 
 def table(folder):
-    return [save_csv(MODEL, folder / "model.csv")]
+    with writing_keyed(folder / "table.csv", "") as part:
+        write_csv(plain_table(("a", "b"), [(1.0, 2.5)], ("note",)), part)
+    return [folder / "table.csv"]
 
 
 def source(folder):

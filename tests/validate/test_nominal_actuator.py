@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig_point import machine
 
-from gbid.errors import DataError, UsageError
+from gbid.errors import ChangedFileWarning, DataError, UsageError
 from gbid.identify import FitTable, fit
 from gbid.lpv import load_model
 from gbid.rig import Prbs, record
@@ -154,6 +154,9 @@ def test_results_of_fits_do_as_well_and_the_file_feeds_a_model(tmp_path):
     text = (tmp_path / "a.yaml").read_text()
     (tmp_path / "b.yaml").write_text(text.replace("kind: actuators", "kind: other"))
     with pytest.raises(DataError, match="not a file with a nominal actuator"):
+        load_actuators(tmp_path / "b.yaml")
+    (tmp_path / "b.yaml").write_text(text.replace("  p1_x: ", "  p1_x: 1"))
+    with pytest.warns(ChangedFileWarning, match=r"b\.yaml: changed after gbid wrote it"):
         load_actuators(tmp_path / "b.yaml")
     (tmp_path / "b.yaml").write_text(text.replace("  p1_x: ", "  p1_x: -"))
     with pytest.raises(DataError, match=r"actuators.p1_x = -\d+.*; expected a positive number"):

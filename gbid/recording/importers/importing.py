@@ -13,13 +13,13 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
+from gbid.files.reader_process import read_apart
 from gbid.naming.paths import given_path
 from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.file_units import file_unit, unit_factor
 from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
-from gbid.recording.importers.reader_process import read_apart
 from gbid.recording.importers.sample_time import sample_time_of
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS

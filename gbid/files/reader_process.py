@@ -27,7 +27,7 @@ _SECONDS = 20.0  # longest time for a small file
 _BYTES_PER_SECOND = 5e6  # larger files have more
 _MEMORY = 1 << 30  # most memory for a small file, in bytes
 _MEMORY_PER_BYTE = 10
-_START = "from gbid.recording.importers.reader_process import serve; serve()"
+_START = "from gbid.files.reader_process import serve; serve()"
 
 
 def read_apart(read: Callable[..., T], path: Path, *arguments: Any) -> T:
