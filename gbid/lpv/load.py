@@ -81,11 +81,11 @@ def save_model(model: LPVModel, path: str | Path, overwrite: bool = False) -> No
 
 def write_model(model: LPVModel, path: Path, comment: str = "") -> None:
     """Write a model as YAML, with an optional comment as the first line."""
-    write_yaml(model_contents(model), path, comment)
+    write_yaml(_contents(model), path, comment)
 
 
-def model_contents(model: LPVModel) -> dict[str, Any]:
-    """Return the contents of a model file as plain values, without empty entries."""
+def _contents(model: LPVModel) -> dict[str, Any]:
+    """Return the contents of a model file, without empty entries."""
     contents: dict[str, Any] = {
         "kind": "lpv_model",
         "schema_version": SCHEMA_VERSION,
