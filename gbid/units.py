@@ -51,6 +51,15 @@ def _registry() -> Any:
     return pint.UnitRegistry()
 
 
+def is_unit(word: str) -> bool:
+    """Return whether a word is a unit as pint writes it; an empty word is dimensionless."""
+    try:
+        _registry().parse_units(word)
+    except Exception:  # an unknown unit, and errors of the tokeniser that pint does not catch
+        return False
+    return True
+
+
 def conversion_factor(unit: str, target: str) -> float:
     """Return the factor that converts a number in `unit` to a number in `target`.
 

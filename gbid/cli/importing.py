@@ -20,8 +20,22 @@ def import_recordings(
         ),
     ],
     peek: Annotated[
-        bool, typer.Option("--peek", help="Show the channels of a measured file: names, samples, units, rates.")
+        bool,
+        typer.Option(
+            "--peek",
+            help="Show the channels of a measured file: names, units, rates, first samples, and how it is read.",
+        ),
     ] = False,
+    encoding: Annotated[
+        str | None, typer.Option(help="With --peek: encoding of a text file.", show_default="found")
+    ] = None,
+    decimal: Annotated[str | None, typer.Option(help="With --peek: its decimal sign.", show_default="found")] = None,
+    delimiter: Annotated[
+        str | None, typer.Option(help="With --peek: the character between its cells.", show_default="found")
+    ] = None,
+    header_line: Annotated[
+        int | None, typer.Option(help="With --peek: number of its line with the names.", show_default="found")
+    ] = None,
     results: Results = None,
     overwrite: Overwrite = False,
     engine: Engine = "auto",
@@ -34,13 +48,17 @@ def import_recordings(
     with guarded(as_json, debug):
         if peek:
             from gbid.cli.printing import print_json, print_tables
-            from gbid.recording.importers.peek import list_channels
-            from gbid.report.tables.recording_tables import channel_rows, channel_table
+            from gbid.recording.importers.peek import list_channels, read_layout
+            from gbid.recording.importers.text.text_options import TextOptions
+            from gbid.report.tables.recording_tables import channel_rows, channel_table, layout_words
 
-            rows = channel_rows(list_channels(experiment))
+            options = TextOptions(encoding, decimal, delimiter, header_line)
+            rows, layout = channel_rows(list_channels(experiment, options)), read_layout(experiment, options)
             if as_json:
-                print_json({"file": experiment, "channels": rows})
+                print_json({"file": experiment, "layout": layout, "channels": rows})
             else:
+                if layout:
+                    typer.echo(f"read as text: {layout_words(layout)}")
                 print_tables(channel_table(experiment.name, rows))
             return
         from gbid.cli.stages import run_stages

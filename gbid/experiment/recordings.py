@@ -13,6 +13,7 @@ from gbid.experiment.keys import content_key, file_digest
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made
 from gbid.experiment.stages.fit.structures import fit_channels
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.experiment.stages.rig.model import rig_model
@@ -136,7 +137,9 @@ def load_made(job: Job, planned: PlannedRecording) -> Recording:
     return load_checked(path, recording_key(job.experiment, planned), f"gbid {verb}")
 
 
-def recording_task(job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], None]) -> Task:
+def recording_task(
+    job: Job, stage: str, planned: PlannedRecording, write: Callable[[Job, str, Path], Made | None]
+) -> Task:
     """Return the task that writes one recording."""
     path, key = job.path(FOLDER, planned.name), recording_key(job.experiment, planned)
     return Task(stage, planned.name, path, key, write, (planned.name,))

@@ -250,7 +250,7 @@ def test_spring_experiment_loads_its_own_structure(tmp_path):
         ("run1.csv", "run1.txt", "file: run1.txt", ["unknown ending '.txt'", ".csv"]),
         ("data_folder: data", "data_folder: dat", "data_folder: dat", ["no folder"]),
         ("name: run2", "name: run1", "name: run1\n      file: run2", ["a second recording named 'run1'"]),
-        ("      time: time\n", "", "name: run1", ["neither sample_time nor time"]),
+        ("      time: time\n", "", "name: run1", ["neither sample_time_s nor time"]),
         ("spring.py:structure", "other.py:structure", 'structure: "oth', ["no file"]),
         ("spring.py:structure", "spring.py:other", 'structure: "spr', ["no name 'other'"]),
         ("on: cyclic", "on: [cyclic, run1]", "on: [cyc", ["stands alone"]),

@@ -279,9 +279,9 @@ TABLE = "file,name,kind,pressure_bar,speed_rpm\na.npz,a,prbs,5,6000\nb.npz,b,sti
         ("b.npz,b", "b.npz,a", "a.npz both give the name 'a'; give each row"),
         ("b.npz,b", "b.npz,b b", "'b b' cannot be a name"),
         ("still", "idle", "unknown kind 'idle'"),
-        ("b.npz,b,still,5,6000", "b.npz,b,still,5", "line 3 has 4 cells, the first line has 5"),
+        ("b.npz,b,still,5,6000", "b.npz,b,still,5", "line 3 has 4 cells, the header line has 5"),
         ("b.npz,", ",", "line 3: file is empty"),
-        (TABLE, "file\n", "expected a line with the names of the columns and one line"),
+        (TABLE, "file\n", "the table has a line with the names of the columns and one line"),
     ],
 )
 def test_tables_that_make_no_sense(old, new, says, tmp_path):
@@ -326,3 +326,16 @@ def test_recordings_listed_beside_a_folder(tmp_path):
     assert len(load_experiment(path).recordings) == 7
     path.write_text(path.read_text().replace("name: extra,", "name: p6_n0_prbs1,"))
     assert any("a second recording named 'p6_n0_prbs1'" in line for line in complaints(path))
+
+
+def test_a_german_table_and_names_with_blanks(tmp_path):
+    columns = small()["p6_n0_prbs1"]
+    path = write_folder(tmp_path, {"a": columns}, text=BY_TABLE, more="")
+    data = path.parent / "data"
+    (data / "a.npz").rename(data / "Lauf 1 früh.npz")
+    text = "Versuche im März\n\nfile;kind;pressure_bar;speed_rpm\nLauf 1 früh.npz;prbs;5,5;6000\n"
+    (data / "runs.csv").write_bytes(text.encode("cp1252"))
+    recordings = load_experiment(path).recordings
+    assert {name: dict(q.conditions) for name, q in recordings.items()} == {
+        "Lauf_1_frueh": {"pressure_bar": 5.5, "speed_rpm": 6000.0}
+    }

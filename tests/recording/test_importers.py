@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from gbid.errors import DataError, UsageError
 from gbid.recording import ImportMapping, SignalMapping, import_recording, load_recording, save_recording
+from gbid.recording.importers.peek import Peek, peek
 
 N, DT = 300, 2e-4
 RNG = np.random.default_rng(5)
@@ -204,30 +205,91 @@ def test_the_time_column_gives_the_sample_time(tmp_path):
     refused(path, {"signals": {"p": BOTH}, "time": "t", "time_unit": "s"}, "header says 'ms'")
     both = {"signals": {"p": BOTH}, "time": "t"}
     assert import_recording(path, {**both, "sample_time": 1.0009 * DT}).sample_time == 1.0009 * DT
-    refused(path, {**both, "sample_time": 1.0011 * DT}, "sample_time = 0.00020022 s", "steps of 0.0002 s")
+    refused(path, {**both, "sample_time": 1.0011 * DT}, "sample_time_s = 0.00020022 s", "steps of 0.0002 s")
     refused(path, {**both, "time_unit": "um"}, "time column 't'")
 
 
 @pytest.mark.parametrize(
-    ("k", "shift", "step"),
-    [(100, DT, 2 * DT), (100, -DT, 0.0), (100, -5 * DT, -4 * DT), (299, 0.02 * DT, 1.02 * DT), (1, 1.0, 1.0 + DT)],
+    ("k", "shift", "fault", "taken"),
+    [
+        (100, DT, "1 samples missing after sample 99 (0.0198 s)", "100 to 300"),
+        (100, 3.5 * DT, "a gap of 0.0009 s after sample 99", "100 to 300"),
+        (100, -DT, "two samples of one time after sample 99", "100 to 300"),
+        (200, -5 * DT, "the clock goes back by 0.0008 s after sample 199", "0 to 200"),
+    ],
 )
-def test_clocks_that_jump_are_refused(tmp_path, k, shift, step):
+def test_gaps_cut_a_file_into_pieces(tmp_path, k, shift, fault, taken):
     clock = T + shift * (np.arange(N) >= k)
     path = write_csv(tmp_path / "a.csv", values=np.column_stack([clock, DATA]))
-    text = refused(path, {"signals": {"p": BOTH}, "time": "t"}, "'t' jumps", f"at sample {k}: step ", "median")
-    found = float(text.split(": step ")[1].split(" s,")[0])
-    assert found == pytest.approx(step, rel=1e-5, abs=1e-12)
+    mapping = {"signals": {"p": BOTH}, "time": "t"}
+    longest = import_recording(path, mapping)
+    assert fault in longest.provenance["import_remarks"]
+    assert "2 pieces without gap (1: samples 0 to" in longest.provenance["import_remarks"]
+    assert longest.provenance["source_samples"] == taken
+    assert peek(path, ImportMapping.from_dict(mapping)) == Peek(200, pytest.approx(DT))
+    pieces = [import_recording(path, {**mapping, "piece": i}) for i in (1, 2)]
+    assert [q.provenance["source_samples"] for q in pieces] == [f"0 to {k}", f"{k} to 300"]
+    for rec, part in zip(pieces, (slice(None, k), slice(k, None)), strict=True):
+        np.testing.assert_allclose(rec.signals["p"], 1e-6 * DATA[part, :2], rtol=1e-15)
+        assert rec.sample_time == pytest.approx(DT, rel=1e-9)
+    refused(path, {**mapping, "piece": 3}, "there is no piece 3; the clock has 2 without gap", error=UsageError)
 
 
-def test_a_rounded_clock_is_accepted_and_a_falling_one_refused(tmp_path):
+def test_doubled_samples_are_left_out(tmp_path):
+    rows = np.column_stack([T, DATA])
+    doubled = np.insert(rows, [10, 200], rows[[9, 199]], axis=0)
+    rec = import_recording(write_csv(tmp_path / "a.csv", values=doubled), {"signals": {"p": BOTH}, "time": "t"})
+    np.testing.assert_allclose(rec.signals["p"], 1e-6 * DATA[:, :2], rtol=1e-15)
+    assert "2 doubled samples left out, the first is sample 10" in rec.provenance["import_remarks"]
+
+
+def test_signals_at_uneven_times_are_interpolated(tmp_path):
+    rng = np.random.default_rng(3)
+    n, jitter = 3000, 0.02 * DT
+    time = DT * np.arange(n) + rng.uniform(-jitter, jitter, n)
+
+    def at(t):  # tones up to a quarter of the sampling rate, an angle in degrees that wraps, and a held command
+        tones = sum(np.sin(2 * np.pi * f * t + f) for f in (37.0, 411.0, 1250.0))
+        held = np.where(np.floor((t + DT / 2) / (20 * DT)) % 2 > 0.5, 1.0, -1.0)
+        return np.column_stack([tones, np.mod(360 * 70.1 * t, 360), held])
+
+    path = write_csv(tmp_path / "a.csv", "t,a,phi [Grad],r", np.column_stack([time, at(time)]))
+    signals = {"s": {"columns": "a"}, "phi": {"columns": "phi"}, "v": {"columns": "r", "unit": "V"}}
+    rec = import_recording(path, {"signals": signals, "time": "t"})
+    assert "ppm of the sample time (rms)" in rec.provenance["import_remarks"]
+    even = at(time[0] + rec.time)
+    inner = slice(20, -20)
+    np.testing.assert_allclose(rec.signals["s"][inner, 0], even[inner, 0], atol=1e-5)
+    assert np.abs(at(time) - even)[inner, 0].max() > 0.05  # what the jitter was
+    turned = np.deg2rad(even[:, 1])
+    assert np.abs(np.angle(np.exp(1j * (rec.signals["phi"][:, 0] - turned)))).max() < 1e-9
+    assert 0 <= rec.signals["phi"].min() <= rec.signals["phi"].max() < 2 * np.pi
+    np.testing.assert_array_equal(rec.signals["v"][:, 0], even[:, 2])
+    late = DT * np.arange(n) + rng.uniform(-12 * jitter, 12 * jitter, n)
+    path = write_csv(tmp_path / "b.csv", "t,a,phi [Grad],r", np.column_stack([late, at(late)]))
+    refused(path, {"signals": signals, "time": "t"}, "let the clock of the converter time them")
+
+
+def test_a_clock_that_falls_or_is_only_rounded_is_refused(tmp_path):
     jitter = np.random.default_rng(6).uniform(-0.4, 0.4, N) * 0.01 * DT
     path = write_csv(tmp_path / "a.csv", values=np.column_stack([T + jitter, DATA]))
     rec = import_recording(path, {"signals": {"p": BOTH}, "time": "t"})
     assert rec.sample_time == pytest.approx(DT, rel=1e-4)
+    assert "import_remarks" not in rec.provenance
     path = write_csv(tmp_path / "b.csv", values=np.column_stack([-T, DATA]))
     refused(path, {"signals": {"p": BOTH}, "time": "t"}, "at sample 1: step -0.0002 s", "299 such steps")
     refused(path, {"signals": {"p": BOTH}, "time": "t", "samples": (0, 1)}, "one sample")
+    path = write_csv(tmp_path / "c.csv", values=np.column_stack([np.round(T, 3), DATA]))
+    refused(path, {"signals": {"p": BOTH}, "time": "t"}, "give sample_time_s instead if only the column is rounded")
+
+
+def test_a_range_in_seconds(tmp_path):
+    path = write_csv(tmp_path / "a.csv", values=np.column_stack([T + 7.0, DATA]))
+    for clock in ({"time": "t"}, {"sample_time_s": DT}):
+        mapping = {"signals": {"p": BOTH}, **clock, "from_s": 0.01, "to_s": 0.05}
+        rec = import_recording(path, mapping)
+        assert rec.provenance["source_samples"] == "50 to 250"
+        assert peek(path, ImportMapping.from_dict(mapping)) == Peek(200, pytest.approx(DT))
 
 
 # Bad csv files
@@ -256,7 +318,10 @@ GOOD = "t,a,b\n" + "".join(f"{k},{k % 7},{k % 5}\n" for k in range(50))
             "column 'b' holds 1 values that are not finite, the first nan at sample 10",
         ),
         (GOOD.replace("10,3,0", "10,inf,0"), "column 'a' holds 1 values"),
-        (GOOD.replace(",", ";").replace("10;3;0", "10;3,5;0"), "'3,5' is not a number; write decimals with a point"),
+        (
+            GOOD.replace("3\n", "3.5\n").replace("10,3,0", '10,"3,5",0'),
+            "'3,5' is not a number; the decimal sign is '.' here",
+        ),
         (GOOD.replace("10,3,0", '10,"3,0'), "not readable as csv"),
         (GOOD.replace("10,3,0", '10,"3"4,0'), "line 12: not readable as csv"),
     ],
@@ -267,10 +332,15 @@ def test_bad_csv_files(tmp_path, text, words):
     refused(path, {"signals": {"p": BOTH}, "sample_time": DT}, words)
 
 
-def test_csv_in_other_encodings(tmp_path):
-    for encoding in ("utf-16", "latin-1"):
-        path = write_csv(tmp_path / "a.csv", "t,a [µm],b,c,d", encoding=encoding)
-        refused(path, {"signals": {"p": BOTH}, "sample_time": DT}, "not UTF-8")
+def test_csv_that_is_not_text(tmp_path):
+    path = write_csv(tmp_path / "a.csv", "t,a [µm],b,c,d", encoding="cp1252")
+    mapping = {"signals": {"p": {"columns": ["a", "b"], "unit": "um"}}, "sample_time": DT}
+    assert import_recording(path, mapping).n_samples == N
+    refused(path, {**mapping, "encoding": "utf-8"}, "not text in utf-8 (byte 5): give its encoding")
+    path.write_bytes(np.arange(2000, dtype=">f8").tobytes())
+    refused(path, mapping, "not text in cp1252")
+    np.savez(tmp_path / "a.npz", a=T, b=T)
+    refused(tmp_path / "a.npz", {**mapping, "decimal": ","}, "decimal is for text files", error=UsageError)
 
 
 # Bad npz and mat files
@@ -400,10 +470,10 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"sample_time": None}, "neither sample_time nor time"),
-        ({"sample_time": 0}, "sample_time: expected a positive number"),
-        ({"sample_time": "fast"}, "sample_time: expected a positive number"),
-        ({"sample_time": True}, "sample_time: expected a positive number"),
+        ({"sample_time": None}, "neither sample_time_s nor time"),
+        ({"sample_time": 0}, "sample_time_s: expected a positive number"),
+        ({"sample_time": "fast"}, "sample_time_s: expected a positive number"),
+        ({"sample_time": True}, "sample_time_s: expected a positive number"),
         ({"sample_time_s": DT}, "both given"),
         ({"sampel_time": DT}, "unknown key 'sampel_time'; did you mean 'sample_time'?"),
         ({"time_unit": "ms"}, "time_unit is given without time"),
@@ -414,6 +484,15 @@ def test_files_that_are_not_there_or_of_unknown_kind(tmp_path):
         ({"samples": [-5, None]}, "samples: expected first and end"),
         ({"samples": [0.0, 5.0]}, "samples: expected first and end"),
         ({"samples": "all"}, "samples: expected first and end"),
+        ({"samples": [0, 5], "from_s": 1.0}, "samples is given beside from_s"),
+        ({"from_s": -1.0}, "from_s: expected a number of seconds"),
+        ({"from_s": 2.0, "to_s": 1.0}, "to_s: expected a time after from_s"),
+        ({"piece": 0}, "piece: expected a number from 1"),
+        ({"piece": 1}, "piece needs the time column"),
+        ({"encoding": "klingon"}, "encoding: 'klingon' is not known"),
+        ({"decimal": ";"}, "decimal: expected '.' or ','"),
+        ({"delimiter": "::"}, "delimiter: expected one character"),
+        ({"header_line": 0}, "header_line: expected the number of a line"),
         ({"conditions": [1]}, "conditions: expected names with numbers"),
         ({"conditions": {"pressure_bar": "6"}}, "conditions: pressure_bar: expected a number"),
         ({"signals": {}}, "at least one signal"),

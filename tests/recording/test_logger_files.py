@@ -180,7 +180,7 @@ def test_rates_of_the_file_are_checked(tmp_path):
     for kind in (".tdms", ".mf4"):
         path = WRITERS[kind](tmp_path / f"a{kind}")
         assert gbid.import_recording(path, {**STATED[kind], "sample_time_s": 1.0005 * DT}).sample_time == 1.0005 * DT
-        refused(path, {**STATED[kind], "sample_time_s": 1e-3}, "sample_time = 0.001 s, but the file states 0.0002 s")
+        refused(path, {**STATED[kind], "sample_time_s": 1e-3}, "sample_time_s = 0.001 s, but the file states 0.0002 s")
         both = {"signals": {"p": XY, "s": {"columns": ["pressure"]}}}
         both["signals"]["p"] = {"columns": ["fast/p_x", "fast/p_y"]}
         refused(path, both, "different numbers of samples")
@@ -188,7 +188,7 @@ def test_rates_of_the_file_are_checked(tmp_path):
         refused(path, again, "different numbers of samples")
     path = write_parquet(tmp_path / "a.parquet")
     nothing = {"signals": {"p": {"columns": ["p_x", "p_y"]}}}
-    refused(path, nothing, "neither sample_time nor time is given, and the file states no", error=UsageError)
+    refused(path, nothing, "neither sample_time_s nor time is given, and the file states no", error=UsageError)
 
 
 def test_channels_of_different_rates_are_not_put_together(tmp_path):

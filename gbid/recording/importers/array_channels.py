@@ -2,15 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from gbid.recording.importers.columns import even_step
+from gbid.arrays import FloatArray
+from gbid.recording.importers.clock.resampling import jitter_ppm
+from gbid.recording.importers.clock.time_steps import MAX_RESAMPLED, even_step
 from gbid.recording.importers.file_format import FileChannel
 
 MAX_COLUMNS = 256
 """Largest number of columns of an array that are listed one by one."""
+SHOWN = 3
+"""Number of first samples that a listing shows."""
+
+
+def with_values(channel: FileChannel, values: FloatArray) -> FileChannel:
+    """Return a channel with its first numbers, and with its step and jitter where it may be a time column."""
+    first = tuple(values[:SHOWN].tolist())
+    step = even_step(values, MAX_RESAMPLED)
+    even = step is None or even_step(values) is not None
+    return replace(channel, step=step, first=first, jitter_ppm=None if even else jitter_ppm(values))
 
 
 def array_channels(
@@ -40,7 +53,7 @@ def array_channels(
         return [FileChannel(name, 0, unit, sample_time, remark=f"shape {value.shape}: no column of samples")]
     if value.ndim == 1 or value.shape[1] == 1 or (row_vectors and value.shape[0] == 1):
         column = np.asarray(value, float).reshape(-1)
-        return [FileChannel(name, column.size, unit, sample_time, even_step(column))]
+        return [with_values(FileChannel(name, column.size, unit, sample_time), column)]
     rows, columns = value.shape
     if rows < columns or columns > MAX_COLUMNS:
         remark = f"shape {value.shape}: " + (
@@ -48,6 +61,6 @@ def array_channels(
         )
         return [FileChannel(name, rows, unit, sample_time, remark=remark)]
     return [
-        FileChannel(f"{name}[{i}]", rows, unit, sample_time, even_step(np.asarray(value[:, i], float)))
+        with_values(FileChannel(f"{name}[{i}]", rows, unit, sample_time), np.asarray(value[:, i], float))
         for i in range(columns)
     ]

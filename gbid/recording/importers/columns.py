@@ -11,10 +11,9 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
+from gbid.recording.importers.file_units import written_unit
 from gbid.recording.importers.mapping import nearest
 
-MAX_JITTER = 0.01
-"""Largest relative deviation of a time step from the median step; a larger one is a jump of the clock."""
 _INDEXED = re.compile(r"(?P<name>.+)\[\s*(?P<index>\d+)\s*\]")
 _NAME_UNIT = re.compile(r"(?P<name>.*?)\s*(?:\[(?P<square>[^][]*)\]|\((?P<round>[^()]*)\))")
 
@@ -99,7 +98,7 @@ def name_and_unit(heading: str) -> tuple[str, str | None]:
     match = _NAME_UNIT.fullmatch(heading)
     if not match:
         return heading, None
-    return match["name"], (match["square"] if match["square"] is not None else match["round"]).strip()
+    return match["name"], written_unit(match["square"] if match["square"] is not None else match["round"])
 
 
 def find_heading(path: Path, headings: Sequence[str], reference: str) -> int:
@@ -127,13 +126,3 @@ def seconds(times: np.ndarray[Any, Any]) -> FloatArray:
     if times.dtype.kind == "M" and times.size:
         times = times - times.flat[0]
     return np.asarray(times / np.timedelta64(1, "s"), dtype=float)
-
-
-def even_step(values: FloatArray) -> float | None:
-    """Return the median step of a column that rises in even steps, as a time column does; otherwise None."""
-    steps = np.diff(values)
-    if not steps.size or not np.isfinite(steps).all():
-        return None
-    median = float(np.median(steps))
-    even = median > 0 and bool((np.abs(steps - median) <= MAX_JITTER * median).all())
-    return median if even else None

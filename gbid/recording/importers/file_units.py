@@ -6,7 +6,31 @@ import math
 from pathlib import Path
 
 from gbid.errors import DataError, UsageError
-from gbid.units import conversion_factor
+from gbid.units import conversion_factor, is_unit
+
+_OTHER_WORDS = {
+    "Grad": "deg",  # pint reads it as gigaradian
+    "grd": "deg",
+    "U/min": "rpm",
+    "min^-1": "rpm",
+    "1/min": "rpm",
+    "Sek": "s",
+    "Sek.": "s",
+    "sec": "s",
+    "-": "",
+}
+"""Words for units in files of loggers, and how gbid writes them."""
+
+
+def written_unit(word: str) -> str:
+    """Return a unit of a file as gbid writes it."""
+    word = word.strip()
+    return _OTHER_WORDS.get(word, word)
+
+
+def is_file_unit(cell: str) -> bool:
+    """Return whether a cell of a file may be a unit, alone or in brackets."""
+    return is_unit(written_unit(cell.strip().strip("[]()")))
 
 
 def file_unit(path: Path, what: str, mapped: str | None, given: str | None) -> str | None:

@@ -15,14 +15,18 @@ from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.files.reader_process import read_apart
 from gbid.naming.paths import given_path
+from gbid.recording.importers.clock.resampling import resampled
+from gbid.recording.importers.clock.sample_time import read_clock, time_factor, untimed_sample_time
 from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileFormat
 from gbid.recording.importers.file_units import file_unit, unit_factor
 from gbid.recording.importers.formats import file_formats
 from gbid.recording.importers.mapping import ImportMapping, SignalMapping
-from gbid.recording.importers.sample_time import sample_time_of
+from gbid.recording.importers.text.text_options import TextOptions
 from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
+
+_OF_TEXT = ("read", "channels", "peek", "layout")  # functions of a format that take the layout of a text file
 
 
 def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any]) -> Recording:
@@ -40,7 +44,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     -------
     Recording
         Known signals in SI units, others in the unit of the file. The provenance has ``source_file``,
-        ``source_sha256`` and ``source_samples``.
+        ``source_sha256`` and ``source_samples``, and ``import_remarks`` on gaps, doubled samples and jitter.
 
     Raises
     ------
@@ -52,28 +56,34 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
         value.
     """
     path = given_path(path)
-    reader = file_format(path).read
+    file_format(path)  # an unknown ending is reported first
     try:
         mapping = mapping if isinstance(mapping, ImportMapping) else ImportMapping.from_dict(mapping)
     except UsageError as error:
         raise UsageError(f"import mapping of {path}: {error}") from None
+    reader = file_format(path, mapping.text_options).read
     try:
         with path.open("rb") as handle:
             digest = hashlib.file_digest(handle, "sha256").hexdigest()
         columns = reader(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-    start, stop = _range(path, mapping, columns)
+    start, stop = sample_range(path, mapping, columns)
     columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
-    _check_finite(path, columns, start)
-    sample_time = sample_time_of(path, mapping, columns, start)
+    check_finite(path, columns, start)
+    clock = read_clock(path, mapping, columns, start)
+    columns = {name: c._replace(values=c.values[clock.rows]) for name, c in columns.items()}
+    first, last = start + int(clock.rows[0]), start + int(clock.rows[-1])
     signals, units = {}, {}
     for name, signal in mapping.signals.items():
         signals[name], units[name] = _signal(path, name, signal, columns)
+        if clock.time is not None:
+            signals[name] = resampled(signals[name], units[name], clock.time)
+    remarks = {"import_remarks": "; ".join(clock.remarks)} if clock.remarks else {}
     try:
         return Recording(
             signals,
-            sample_time,
+            clock.sample_time,
             conditions=mapping.conditions,
             name=mapping.name or path.stem,
             units=units,
@@ -81,45 +91,87 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
             provenance={
                 "source_file": path.name,
                 "source_sha256": digest,
-                "source_samples": f"{start} to {stop}",
+                "source_samples": f"{first} to {last + 1}",
+                **remarks,
             },
         )
     except DataError as error:
         raise DataError(f"{path}: {error}") from None
 
 
-def file_format(path: Path) -> FileFormat:
+def file_format(path: Path, options: TextOptions | None = None) -> FileFormat:
     """Return the format of a file, chosen by its ending; libraries that may crash run in a process of their own.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    options : TextOptions, optional
+        Layout of a text file, as far as it is given.
 
     Raises
     ------
     DataError
         When the ending is unknown.
+    UsageError
+        When a layout of text is given for a file of another kind.
     """
     known = file_formats()
     found = known.get(path.suffix.lower())
     if found is None:
         raise DataError(f"{path}: unknown file ending {path.suffix!r}; expected one of {', '.join(known)}")
+    given = options.given() if options else []
+    if given and found.layout is None:
+        raise UsageError(f"{path}: {given[0]} is for text files such as csv; leave it out")
+    if options and found.layout is not None:
+        bound: dict[str, Any] = {
+            key: partial(each, options=options) for key in _OF_TEXT if (each := getattr(found, key)) is not None
+        }
+        found = replace(found, **bound)
     if not found.may_crash:
         return found
     return replace(found, read=partial(read_apart, found.read), channels=partial(read_apart, found.channels))
 
 
-def _range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
-    """Return the first sample and the one after the last; check that all columns have the same length."""
+def sample_range(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn]) -> tuple[int, int]:
+    """Return the first sample of an import and the one after the last; check that all columns have the same length.
+
+    Raises
+    ------
+    DataError
+        When the columns differ in length, or when the range is empty or beyond the end.
+    """
     lengths = {name: len(column.values) for name, column in columns.items()}
     n = next(iter(lengths.values()))
     if set(lengths.values()) != {n}:
         text = ", ".join(f"{name} {length}" for name, length in lengths.items())
         raise DataError(f"{path}: columns have different numbers of samples: {text}")
-    start, stop = mapping.samples or (0, None)
+    start, stop = mapping.samples or _from_times(path, mapping, columns, n)
     stop = n if stop is None else stop
     if not start < stop <= n:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples")
     return start, stop
 
 
-def _check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
+def _from_times(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn], n: int) -> tuple[int, int | None]:
+    """Return the first sample at or after from_s, and the first one at or after to_s."""
+    if mapping.from_s is None and mapping.to_s is None:
+        return 0, None
+    if mapping.time is None:
+        time = untimed_sample_time(path, mapping, columns) * np.arange(n)
+    else:
+        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        time = np.maximum.accumulate(time - time[0])
+    step = float(time[-1]) / max(1, n - 1)
+    for key, value in (("from_s", mapping.from_s), ("to_s", mapping.to_s)):
+        if value is not None and value > time[-1] + step:
+            raise DataError(f"{path}: {key} = {value:g} s is beyond its end at {time[-1]:.6g} s; correct it")
+    start, stop = (int(np.searchsorted(time, (t or 0.0) - 1e-6 * step)) for t in (mapping.from_s, mapping.to_s))
+    return start, None if mapping.to_s is None else stop
+
+
+def check_finite(path: Path, columns: dict[str, FileColumn], start: int) -> None:
+    """Refuse columns with values that are not finite; `start` is the number of their first sample."""
     for name, (values, *_) in columns.items():
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:

@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from gbid.errors import UsageError
+from gbid.recording.importers.text.text_options import TextOptions
 
 
 @dataclass(frozen=True)
@@ -85,6 +86,13 @@ class ImportMapping:
         Name of the recording; by default the name of the file without its ending.
     samples : tuple of int and (int or None), optional
         First sample and the one after the last, counted from 0; None is the end of the file.
+    from_s, to_s : float, optional
+        The same as times [s] after the first sample of the file, instead of `samples`.
+    piece : int, optional
+        Number of the piece to take, from 1, where gaps of the time column cut the file into pieces; by default the
+        longest.
+    encoding, decimal, delimiter, header_line : optional
+        Layout of a text file, where it is not to be found in the file; see `TextOptions`.
 
     Raises
     ------
@@ -99,6 +107,13 @@ class ImportMapping:
     conditions: Mapping[str, float] = field(default_factory=dict)
     name: str | None = None
     samples: tuple[int, int | None] | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    piece: int | None = None
+    encoding: str | None = None
+    decimal: str | None = None
+    delimiter: str | None = None
+    header_line: int | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "signals", _signals(self.signals))
@@ -109,13 +124,29 @@ class ImportMapping:
             if not _is_number(value):
                 raise UsageError(f"conditions: {key}: expected a number, found {value!r}")
         if self.sample_time is not None and not (_is_number(self.sample_time) and self.sample_time > 0):
-            raise UsageError(f"sample_time: expected a positive number of seconds, found {self.sample_time!r}")
+            raise UsageError(f"sample_time_s: expected a positive number of seconds, found {self.sample_time!r}")
         if self.time is None and self.time_unit is not None:
             raise UsageError("time_unit is given without time; name the time column or leave the unit out")
         for key in ("time", "time_unit", "name"):
             _check_text(key, getattr(self, key))
         if self.samples is not None:
             object.__setattr__(self, "samples", _sample_range(self.samples))
+        for key in ("from_s", "to_s"):
+            value = getattr(self, key)
+            if value is not None and not (_is_number(value) and value >= 0):
+                raise UsageError(f"{key}: expected a number of seconds from 0, found {value!r}")
+        if self.samples is not None and (self.from_s is not None or self.to_s is not None):
+            raise UsageError("samples is given beside from_s or to_s; keep one way")
+        if self.to_s is not None and self.to_s <= (self.from_s or 0.0):
+            raise UsageError(f"to_s: expected a time after from_s, found {self.to_s!r}")
+        if self.piece is not None and not (type(self.piece) is int and self.piece >= 1):
+            raise UsageError(f"piece: expected a number from 1, found {self.piece!r}")
+        _ = self.text_options  # its checks
+
+    @property
+    def text_options(self) -> TextOptions:
+        """Layout of a text file, as far as it is given."""
+        return TextOptions(self.encoding, self.decimal, self.delimiter, self.header_line)
 
     @classmethod
     def from_dict(cls, entries: Mapping[str, Any]) -> ImportMapping:

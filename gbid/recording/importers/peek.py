@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from gbid.errors import DataError
+from gbid.recording.importers.clock.sample_time import read_clock, time_factor, untimed_sample_time
+from gbid.recording.importers.columns import FileColumn
 from gbid.recording.importers.file_format import FileChannel
-from gbid.recording.importers.importing import file_format
+from gbid.recording.importers.importing import check_finite, file_format, sample_range
 from gbid.recording.importers.mapping import ImportMapping
-from gbid.recording.importers.sample_time import time_factor, untimed_sample_time
+from gbid.recording.importers.text.text_options import TextOptions
+
+_ALIKE = 2e-3  # largest relative difference between the mean step and that of the first rows of a clock without gap
 
 
 @dataclass(frozen=True)
@@ -28,13 +36,15 @@ class Peek:
     sample_time: float
 
 
-def list_channels(path: Path) -> list[FileChannel]:
+def list_channels(path: Path, options: TextOptions | None = None) -> list[FileChannel]:
     """Return all channels of a file of another program, with their names, lengths, units and sample times.
 
     Parameters
     ----------
     path : pathlib.Path
         The file; its ending decides the reader.
+    options : TextOptions, optional
+        Layout of a text file, as far as it is given.
 
     Returns
     -------
@@ -49,15 +59,33 @@ def list_channels(path: Path) -> list[FileChannel]:
         When the package that reads the format is not installed.
     """
     try:
-        return file_format(path).channels(path)
+        return file_format(path, options).channels(path)
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_layout(path: Path, options: TextOptions | None = None) -> dict[str, Any]:
+    """Return the layout of a text file as it is given or found: encoding, delimiter, decimal sign and lines.
+
+    Returns
+    -------
+    dict
+        Empty for a file of another kind.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read as text.
+    """
+    layout = file_format(path, options).layout
+    return {} if layout is None else layout(path)
 
 
 def peek(path: Path, mapping: ImportMapping) -> Peek:
     """Return the length and sample time of a file that is to be imported, without importing it.
 
-    Of a csv file the header, the first and the last row are read. Of other files the columns are read.
+    Of a csv file the header, the first rows and the last one are read, unless they show a gap of the clock. Of other
+    files the columns are read.
 
     Parameters
     ----------
@@ -78,30 +106,37 @@ def peek(path: Path, mapping: ImportMapping) -> Peek:
         When the unit of the time column is not a unit of time.
     """
     try:
-        kind = file_format(path)
+        kind = file_format(path, mapping.text_options)
         if kind.peek is not None:
-            n, columns = kind.peek(path, mapping.all_columns())
-        else:
-            columns = kind.read(path, mapping.all_columns())
-            lengths = {name: len(column.values) for name, column in columns.items()}
-            n = next(iter(lengths.values()))
-            if set(lengths.values()) != {n}:
-                text = ", ".join(f"{name} {length}" for name, length in lengths.items())
-                raise DataError(f"{path}: columns have different numbers of samples: {text}; write them whole")
+            found = _from_ends(path, mapping, *kind.peek(path, mapping.all_columns()))
+            if found is not None:
+                return found
+        columns = kind.read(path, mapping.all_columns())
     except OSError as error:
         raise DataError(f"{path}: cannot be read: {error.strerror or error}") from None
-    start, stop = mapping.samples or (0, None)
+    start, stop = sample_range(path, mapping, columns)
+    columns = {name: c._replace(values=c.values[start:stop]) for name, c in columns.items()}
+    if mapping.time is not None:
+        check_finite(path, {mapping.time: columns[mapping.time]}, start)
+    clock = read_clock(path, mapping, columns, start)
+    return Peek(len(clock.rows), clock.sample_time)
+
+
+def _from_ends(path: Path, mapping: ImportMapping, n: int, columns: dict[str, FileColumn]) -> Peek | None:
+    """Return length and sample time by the first rows and the last one; None where they show a gap of the clock."""
+    if mapping.time is None:
+        sample_time = untimed_sample_time(path, mapping, columns)
+    else:
+        time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
+        sample_time = float(time[-1] - time[0]) / (n - 1)
+        steps = np.diff(time[:-1])
+        typical = float(np.median(steps)) if steps.size else sample_time
+        if mapping.piece is not None or not abs(sample_time - typical) <= _ALIKE * typical:
+            return None
+        sample_time = mapping.sample_time or sample_time
+    times = (mapping.from_s or 0.0, math.inf if mapping.to_s is None else mapping.to_s)
+    start, stop = mapping.samples or (min(n, math.ceil(t / sample_time - 1e-6)) if t < math.inf else n for t in times)
     stop = n if stop is None else stop
     if not start < stop <= n:
         raise DataError(f"{path}: samples {start} to {stop} are not within its {n} samples; correct them")
-    if mapping.time is None:
-        sample_time = untimed_sample_time(path, mapping, columns)
-    elif mapping.sample_time is not None:
-        sample_time = mapping.sample_time
-    else:
-        values = columns[mapping.time].values
-        span = float(values[-1] - values[0]) * time_factor(path, mapping, columns[mapping.time])
-        if not span > 0 or n < 2:
-            raise DataError(f"{path}: time column {mapping.time!r} does not rise; name the right column")
-        sample_time = span / (n - 1)
     return Peek(stop - start, sample_time)

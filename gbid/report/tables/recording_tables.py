@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 
+from gbid.errors import UsageError
 from gbid.prefilter import PrefilterReport
 from gbid.recording.importers.file_format import FileChannel
 from gbid.report.tables.fit_document import Row
 from gbid.tables.numbers import shown_unit
 from gbid.tables.table import Column, Table
+from gbid.units import conversion_factor
 
 SHOWN_SPIKES = 10
 """Largest number of spikes whose sample numbers a row lists."""
@@ -40,6 +43,8 @@ def channel_rows(channels: Iterable[FileChannel]) -> list[Row]:
             "sample_time_s": channel.sample_time,
             "rate_hz": None if channel.sample_time is None else 1.0 / channel.sample_time,
             "step": channel.step,
+            "jitter_ppm": channel.jitter_ppm,
+            "first": list(channel.first),
             "remark": channel.remark,
         }
         for channel in channels
@@ -54,14 +59,32 @@ def channel_table(name: str, rows: Sequence[Row]) -> Table:
         Column("unit"),
         Column("sample time", "s", ".6g"),
         Column("rate", "Hz", ".6g"),
+        Column("first samples"),
         Column("remark", wrap=True),
     ]
     laid = []
     for row in rows:
-        even = f"rises in even steps of {row['step']:.6g}" if row["step"] is not None else ""
-        remark = row["remark"] or even
-        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], remark])
+        first = " ".join(f"{value:.5g}" for value in row["first"]) or None
+        remark = row["remark"] or _rising(row)
+        laid.append([row["channel"], row["samples"], row["unit"], row["sample_time_s"], row["rate_hz"], first, remark])
     return Table(name, columns, laid)
+
+
+def _rising(row: Row) -> str:
+    """Return what is known of a column that may be the time."""
+    if row["step"] is None:
+        return ""
+    rate = ""
+    with suppress(UsageError):
+        rate = f": {1 / (row['step'] * conversion_factor(row['unit'], 's')):.6g} Hz" if row["unit"] else ""
+    if row["jitter_ppm"] is None:
+        return f"rises in even steps of {row['step']:.6g}{rate}"
+    return f"rises in steps of {row['step']:.6g}{rate}, with a jitter of {row['jitter_ppm']:.0f} ppm"
+
+
+def layout_words(layout: Mapping[str, str | int | None]) -> str:
+    """Return the layout of a text file as one line; empty for a file of another kind."""
+    return ", ".join(f"{key.replace('_', ' ')} {value!r}" for key, value in layout.items() if value is not None)
 
 
 def prefilter_rows(reports: Iterable[PrefilterReport]) -> list[Row]:

@@ -41,4 +41,4 @@ def data_can_be_read(experiment: Experiment) -> Found:
             continue
         may_be_stated = file_format is None or file_format.states_sample_time
         if mapping.sample_time is None and mapping.time is None and not may_be_stated:
-            yield here_mapping, "neither sample_time nor time is given; give the sample time or the time column"
+            yield here_mapping, "neither sample_time_s nor time is given; give the sample time or the time column"

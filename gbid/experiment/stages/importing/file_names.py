@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from dataclasses import dataclass
 
 from gbid.errors import UsageError
 
+_SPELT = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "Ä": "Ae", "Ö": "Oe", "Ü": "Ue", "ß": "ss"})
 _FIELD = re.compile(r"\{(?P<name>[^{}:]*)(?::(?P<kind>[^{}]*))?\}")
 _NUMBER = r"[-+]?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?"
 _FORMS = {"g": _NUMBER, "d": r"[-+]?\d+", "": r"[^/]+?"}
+
+
+def name_of(text: str) -> str:
+    """Return a text of a file name as the name of a recording: blanks and other signs become ``_``."""
+    plain = unicodedata.normalize("NFKD", unicodedata.normalize("NFC", text).translate(_SPELT))
+    word = re.sub(r"[^A-Za-z0-9_.+-]+", "_", plain.encode("ascii", "ignore").decode()).strip("_")
+    return word if word[:1].isalnum() else f"r{word}"
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections.abc import Iterator, Mapping
@@ -11,9 +10,9 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-from gbid.errors import UsageError
+from gbid.errors import DataError, UsageError
 from gbid.experiment.problems import Location, nearest
-from gbid.experiment.stages.importing.file_names import name_pattern
+from gbid.experiment.stages.importing.file_names import name_of, name_pattern
 from gbid.experiment.stages.importing.schema import (
     FileSection,
     FolderSection,
@@ -22,6 +21,7 @@ from gbid.experiment.stages.importing.schema import (
     TableSection,
 )
 from gbid.recording.importers.formats import file_formats
+from gbid.recording.importers.text.text_table import read_table
 
 POINT = ("pressure_bar", "speed_rpm")
 _RESULTS = (".h5", ".hdf5")  # endings of our own results, which may lie in the same folder
@@ -140,7 +140,7 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
             continue
         matched += 1
         conditions = {name: float(fields[name]) for name in pattern.numbers if name in (*POINT, *more)}
-        name = str(fields.get("name", Path(file).stem))
+        name = name_of(str(fields.get("name", Path(file).stem)))
         yield _entry(section, file, name, str(fields["kind"]) if "kind" in fields else None, conditions)
     if not matched:
         example = f"; there is {', '.join(unmatched[:_NAMED])}" if unmatched else f"; {folder} has no such files"
@@ -156,16 +156,15 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
     """Yield a recording for each row of a table, and a text for each problem."""
     path = folder / section.file
     try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        yield f"{path}: cannot be read: {getattr(error, 'strerror', None) or 'not UTF-8 text'}; give a CSV table"
+        table = read_table(path)
+        cells = table.cells
+    except OSError as error:
+        yield f"{path}: cannot be read: {error.strerror}; give a CSV table"
         return
-    numbered = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.startswith("#")]
-    rows = list(csv.reader((line for _, line in numbered), skipinitialspace=True))
-    if len(rows) < 2:
-        yield f"{path}: expected a line with the names of the columns and one line for each recording"
+    except DataError as error:
+        yield f"{error}; the table has a line with the names of the columns and one line for each recording"
         return
-    header = [cell.strip() for cell in rows[0]]
+    header = list(table.headings)
     more = section.more_conditions or ()
     needed = ["file", *more, *(name for name in _needed_point(section) if name not in section.conditions)]
     missing = [name for name in needed if name not in header]
@@ -173,13 +172,12 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
         for name in missing:
             yield f"{path}: no column {name!r}; {nearest(name, header)}"
         return
-    for (number, _), cells in zip(numbered[1:], rows[1:], strict=True):
-        where = f"{path}: line {number}"
-        if len(cells) != len(header):
-            yield f"{where} has {len(cells)} cells, the first line has {len(header)}; correct it"
-            continue
-        row = {name: cell.strip() for name, cell in zip(header, cells, strict=True)}
-        conditions, faults = _conditions(row, [*more, *(n for n in POINT if n in row and n not in more)], where)
+    for line, texts in zip(table.rows, cells, strict=True):
+        where = f"{path}: line {line.number}"
+        row = {name: cell.strip() for name, cell in zip(header, texts, strict=True)}
+        conditions, faults = _conditions(
+            row, [*more, *(n for n in POINT if n in row and n not in more)], where, table.layout.decimal
+        )
         if not row["file"]:
             faults.append(f"{where}: file is empty; name the file, or remove the line")
         elif not (folder / row["file"]).is_file():
@@ -188,16 +186,18 @@ def _by_table(section: TableSection, folder: Path) -> Iterator[ImportedSection |
             faults.append(f"{where}: file {row['file']}: unknown ending; expected one of {', '.join(file_formats())}")
         yield from faults
         if not faults:
-            name = row.get("name") or Path(row["file"]).stem
+            name = row.get("name") or name_of(Path(row["file"]).stem)
             entry = _entry(section, row["file"], name, row.get("kind") or None, conditions)
             yield f"{where}: {entry}" if isinstance(entry, str) else entry
 
 
-def _conditions(row: Mapping[str, str], names: list[str], where: str) -> tuple[dict[str, float], list[str]]:
+def _conditions(
+    row: Mapping[str, str], names: list[str], where: str, decimal: str
+) -> tuple[dict[str, float], list[str]]:
     conditions, faults = {}, []
     for name in names:
         try:
-            value = float(row[name])
+            value = float(row[name].replace(decimal, "."))
         except ValueError:
             value = math.nan
         if math.isfinite(value):

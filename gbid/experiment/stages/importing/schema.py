@@ -6,7 +6,18 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from gbid.experiment.fields import Count, CountOrZero, Name, Names, Number, Positive, Section, Switch, Text
+from gbid.experiment.fields import (
+    Count,
+    CountOrZero,
+    Name,
+    Names,
+    NotNegative,
+    Number,
+    Positive,
+    Section,
+    Switch,
+    Text,
+)
 
 Kind = Literal["excited", "stationary", "staircase"]
 KINDS: dict[str, Kind] = {
@@ -43,6 +54,13 @@ class FileSection(Section):
     time: Text | None = None
     time_unit: Text | None = None
     samples: tuple[CountOrZero, Count | None] | None = None
+    from_s: NotNegative | None = None
+    to_s: Positive | None = None
+    piece: Count | None = None
+    encoding: Text | None = None
+    decimal: Literal[".", ","] | None = None
+    delimiter: Annotated[str, Field(min_length=1, max_length=1)] | None = None
+    header_line: Count | None = None
     remove_mean: Switch = False
     conditions: dict[Text, Number] = Field(default_factory=dict)
     signals: Annotated[dict[Text, ColumnsSection], Field(min_length=1)]

@@ -12,6 +12,7 @@ from gbid.experiment.keys import content_key, file_digest
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.recordings import driving_channels, recording_task, refuse_bad_signals, used_channels
 from gbid.experiment.run.job import Job, Task
+from gbid.experiment.run.outcome import Made
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.importing.checks import data_can_be_read
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
@@ -21,6 +22,8 @@ from gbid.recording import (
     import_recording,
     save_recording,
 )
+
+_RANGE = ("samples", "from_s", "to_s", "piece")  # keys that say which samples of a file are taken
 
 
 def import_tasks(job: Job) -> list[Task]:
@@ -103,15 +106,17 @@ def _content(experiment: Experiment, planned: PlannedRecording) -> str:
     """Return a digest of the samples that a recording takes from its file."""
     assert planned.imported is not None
     columns = {name: list(signal.columns) for name, signal in planned.imported.signals.items()}
-    taken = {"samples": planned.imported.samples, "signals": columns}
+    taken = {**{key: getattr(planned.imported, key) for key in _RANGE}, "signals": columns}
     try:
         return content_key("content", taken, [file_digest(data_file(experiment, planned.imported))])
     except OSError:
         return f"unreadable {planned.name}"
 
 
-def _write_import(job: Job, name: str, part: Path) -> None:
-    save_recording(read_import(job.experiment, job.experiment.recordings[name]), part, overwrite=True)
+def _write_import(job: Job, name: str, part: Path) -> Made:
+    recording = read_import(job.experiment, job.experiment.recordings[name])
+    save_recording(recording, part, overwrite=True)
+    return Made(recording.provenance.get("import_remarks", ""))
 
 
 IMPORT = Stage("import", "import", (data_can_be_read,), import_tasks, early=True)

@@ -12,7 +12,8 @@ import numpy as np
 from gbid.errors import DataError
 from gbid.extras import extra_package
 from gbid.recording.importers.array_channels import array_channels
-from gbid.recording.importers.columns import FileColumn, even_step, pick_column, split_reference
+from gbid.recording.importers.clock.time_steps import even_step
+from gbid.recording.importers.columns import FileColumn, pick_column, split_reference
 from gbid.recording.importers.file_format import FileChannel, FileFormat
 from gbid.recording.importers.mapping import nearest
 

@@ -1,0 +1,50 @@
+"""Even samples from samples whose times jitter: band-limited interpolation."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from gbid.arrays import FloatArray
+
+DEGREE = 9
+"""Degree of the interpolating splines. With rising degree they approach the interpolation by sinc functions. At this
+one the error is below 2e-5 of a sine of a fifth of the sampling rate, at a jitter of 10 % of the sample time."""
+FEW_LEVELS = 16
+"""A signal with at most this number of distinct values is a command that is held; it keeps its values."""
+_TURN = 2 * np.pi
+
+
+def jitter_ppm(time: FloatArray) -> float:
+    """Return the rms deviation of sample times from even ones, in millionths of the sample time."""
+    index = np.arange(len(time), dtype=float)
+    slope, offset = np.polyfit(index, time, 1)
+    return float(1e6 * np.std(time - slope * index - offset) / slope)
+
+
+def resampled(values: FloatArray, unit: str, time: FloatArray) -> FloatArray:
+    """Return signals at as many even times, from the first to the last time.
+
+    Parameters
+    ----------
+    values : (n_samples, n_channels) array
+        Signals at the times of the file.
+    unit : str
+        Their unit. An angle in rad is unwrapped for the interpolation and wrapped again.
+    time : (n_samples,) array
+        Times of the file [s], rising.
+    """
+    grid = np.linspace(time[0], time[-1], len(time))
+    out = np.empty(values.shape)
+    nearest = np.clip(np.searchsorted((time[1:] + time[:-1]) / 2, grid), 0, len(time) - 1)
+    degree = min(DEGREE, len(time) - 1)
+    for k, column in enumerate(values.T):
+        if len(np.unique(column)) <= FEW_LEVELS:
+            out[:, k] = column[nearest]
+            continue
+        wraps = unit == "rad" and bool((np.abs(np.diff(column)) > np.pi).any())
+        smooth = np.unwrap(column) if wraps else column
+        even = make_interp_spline(time, smooth, k=degree - 1 + degree % 2)(grid)
+        low = 0.0 if column.min() >= 0 else -np.pi
+        out[:, k] = np.mod(even - low, _TURN) + low if wraps else even
+    return out
