@@ -13,8 +13,8 @@ from gbid.recording.importers.clock.resampling import jitter_ppm
 from gbid.recording.importers.clock.time_steps import (
     MAX_JITTER,
     MAX_RESAMPLED,
-    Stretch,
-    even_stretches,
+    ClockPiece,
+    even_pieces,
     largest_deviation,
 )
 from gbid.recording.importers.columns import FileColumn
@@ -23,7 +23,7 @@ from gbid.recording.importers.mapping import ImportMapping
 
 MAX_DISAGREEMENT = 1e-3
 """Largest relative difference between sample_time_s, the time column and what the file states."""
-_LISTED = 6  # largest number of stretches that are listed
+_LISTED = 6  # largest number of pieces that are listed
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +78,7 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
     time = columns[mapping.time].values * time_factor(path, mapping, columns[mapping.time])
     if len(time) < 2:
         raise DataError(f"{path}: time column {mapping.time!r} has one sample; at least two make a sample time")
-    found = even_stretches(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
+    found = even_pieces(path, mapping.time, time, {name: c.values for name, c in columns.items()}, start)
     taken, remarks = _chosen(path, mapping, found, time, start)
     time = time[taken.rows]
     uneven = largest_deviation(time)
@@ -107,9 +107,9 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
 
 
 def _chosen(
-    path: Path, mapping: ImportMapping, found: list[Stretch], time: FloatArray, start: int
-) -> tuple[Stretch, tuple[str, ...]]:
-    """Return the stretch that the mapping names, else the longest, with what was found and done."""
+    path: Path, mapping: ImportMapping, found: list[ClockPiece], time: FloatArray, start: int
+) -> tuple[ClockPiece, tuple[str, ...]]:
+    """Return the piece that the mapping names, else the longest, with what was found and done."""
     if mapping.piece is not None and mapping.piece > len(found):
         raise UsageError(f"{path}: piece: there is no piece {mapping.piece}; the clock has {len(found)} without gap")
     taken = found[mapping.piece - 1] if mapping.piece else max(found, key=lambda each: len(each.rows))

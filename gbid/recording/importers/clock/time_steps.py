@@ -22,7 +22,7 @@ _DOUBLED = 0.05  # share of equal times from which the column is called rounded
 
 
 @dataclass(frozen=True)
-class Stretch:
+class ClockPiece:
     """Samples of a file that one even clock describes.
 
     Attributes
@@ -30,7 +30,7 @@ class Stretch:
     rows : (n_samples,) array of int
         Numbers of the samples, from 0.
     number, of : int
-        Number of the stretch from 1, and how many there are.
+        Number of the piece from 1, and how many there are.
     faults : tuple of str
         Gaps and doubled samples of the whole file.
     """
@@ -66,10 +66,10 @@ def largest_deviation(time: FloatArray) -> float:
     return float(np.max(np.abs(steps - median)) / median)
 
 
-def even_stretches(
+def even_pieces(
     path: Path, what: str, time: FloatArray, columns: Mapping[str, FloatArray], start: int
-) -> list[Stretch]:
-    """Return the stretches without gap of a recording; doubled samples are left out.
+) -> list[ClockPiece]:
+    """Return the pieces without gap of a recording; doubled samples are left out.
 
     A sample is doubled when it has the time and the values of the one before. A gap is a step of more than 1.5 median
     steps, a step back, or two samples of one time with different values.
@@ -89,8 +89,8 @@ def even_stretches(
 
     Returns
     -------
-    list of Stretch
-        In the order of time, without stretches of one sample.
+    list of ClockPiece
+        In the order of time, without pieces of one sample.
 
     Raises
     ------
@@ -120,7 +120,9 @@ def even_stretches(
         faults.append(f"{doubled.size} doubled samples left out, the first is sample {start + doubled[0]}")
     edges = [0, *(at + 1).tolist(), len(kept)]
     pieces = [kept[a:b] for a, b in pairwise(edges) if b - a > 1]
-    return [Stretch(rows, i, len(pieces), tuple(faults)) for i, rows in enumerate(pieces, start=1)]
+    if not pieces:
+        raise DataError(f"{path}: time column {what!r} does not rise evenly anywhere; name the right column")
+    return [ClockPiece(rows, i, len(pieces), tuple(faults)) for i, rows in enumerate(pieces, start=1)]
 
 
 def _gap(step: float, median: float, time: float, sample: int) -> str:

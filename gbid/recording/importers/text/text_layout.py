@@ -23,8 +23,8 @@ _DIGITS = {
 }
 
 
-class Line(NamedTuple):
-    """Line of a file with its number, counted from 1."""
+class NumberedLine(NamedTuple):
+    """NumberedLine of a file with its number, counted from 1."""
 
     number: int
     text: str
@@ -42,10 +42,10 @@ class TextLayout:
         Character between the cells; a blank stands for any number of blanks.
     decimal : str
         Decimal sign.
-    header : Line or None
-        Line with the names; None when there is none.
-    unit_line : Line or None
-        Line with the units below it.
+    header : NumberedLine or None
+        NumberedLine with the names; None when there is none.
+    unit_line : NumberedLine or None
+        NumberedLine with the units below it.
     rows_from : int
         Number of the line of the first row.
     """
@@ -53,8 +53,8 @@ class TextLayout:
     encoding: str
     delimiter: str
     decimal: str
-    header: Line | None
-    unit_line: Line | None
+    header: NumberedLine | None
+    unit_line: NumberedLine | None
     rows_from: int
 
     def stated(self) -> dict[str, str | int | None]:
@@ -86,7 +86,7 @@ def split_cells(text: str, delimiter: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([text], delimiter=delimiter, skipinitialspace=True), [])]
 
 
-def find_layout(lines: Sequence[Line], encoding: str, options: TextOptions) -> TextLayout:
+def find_layout(lines: Sequence[NumberedLine], encoding: str, options: TextOptions) -> TextLayout:
     """Return the layout of a table.
 
     The last lines show the columns: delimiter and decimal sign are those that give the most columns of numbers, beside
@@ -95,7 +95,7 @@ def find_layout(lines: Sequence[Line], encoding: str, options: TextOptions) -> T
 
     Parameters
     ----------
-    lines : sequence of Line
+    lines : sequence of NumberedLine
         Lines that are not empty, comments included.
     encoding : str
         Encoding of the file.
@@ -108,16 +108,16 @@ def find_layout(lines: Sequence[Line], encoding: str, options: TextOptions) -> T
         for delimiter in ([options.delimiter] if options.delimiter else DELIMITERS)
         for decimal in ([options.decimal] if options.decimal else DECIMALS)
     ]
-    tried = sorted((_Columns(content, *pair) for pair in pairs), key=lambda each: each.rank, reverse=True)
+    tried = sorted((_Candidate(content, *pair) for pair in pairs), key=lambda each: each.rank, reverse=True)
     sensible = [columns for columns in tried if columns.numeric] or tried[:1]
     layouts = (_with_header(columns, lines, content, encoding, options) for columns in sensible)
     return next((each for each in layouts if each.header), _with_header(tried[0], lines, content, encoding, options))
 
 
-class _Columns:
+class _Candidate:
     """Columns of a table as one delimiter and one decimal sign show them."""
 
-    def __init__(self, content: Sequence[Line], delimiter: str, decimal: str) -> None:
+    def __init__(self, content: Sequence[NumberedLine], delimiter: str, decimal: str) -> None:
         self.delimiter, self.decimal = delimiter, decimal
         last = max(2, min(_TAIL, len(content) // 3))
         tail = [split_cells(line.text, delimiter) for line in content[1:][-last:] or content]
@@ -162,9 +162,13 @@ class _Columns:
 
 
 def _with_header(
-    columns: _Columns, lines: Sequence[Line], content: Sequence[Line], encoding: str, options: TextOptions
+    columns: _Candidate,
+    lines: Sequence[NumberedLine],
+    content: Sequence[NumberedLine],
+    encoding: str,
+    options: TextOptions,
 ) -> TextLayout:
-    def layout(header: Line | None, unit_line: Line | None, rows_from: int) -> TextLayout:
+    def layout(header: NumberedLine | None, unit_line: NumberedLine | None, rows_from: int) -> TextLayout:
         return TextLayout(encoding, columns.delimiter, columns.decimal, header, unit_line, rows_from)
 
     first = next((i for i, line in enumerate(content) if columns.is_row(line.text)), len(content))
@@ -189,7 +193,7 @@ def without_mark(text: str) -> str:
     return text.lstrip("#%/").lstrip() if is_comment(text) else text
 
 
-def _below(columns: _Columns, below: Sequence[Line]) -> tuple[Line | None, int]:
+def _below(columns: _Candidate, below: Sequence[NumberedLine]) -> tuple[NumberedLine | None, int]:
     """Return the line of units, which may follow the names and their descriptions, and the number of the first row."""
     for i, line in enumerate(below[:_DESCRIBED]):
         if columns.is_row(line.text):

@@ -17,7 +17,7 @@ from gbid.recording.importers.columns import name_and_unit
 from gbid.recording.importers.file_units import written_unit
 from gbid.recording.importers.text.decoding import read_text
 from gbid.recording.importers.text.text_layout import (
-    Line,
+    NumberedLine,
     TextLayout,
     find_layout,
     is_comment,
@@ -42,7 +42,7 @@ class TextTable:
         Names of the columns as they stand in the file.
     units : tuple of (str or None)
         Unit of each column, from its heading or from the line of units.
-    rows : tuple of Line
+    rows : tuple of NumberedLine
         Lines of the rows.
     """
 
@@ -50,7 +50,7 @@ class TextTable:
     layout: TextLayout
     headings: tuple[str, ...]
     units: tuple[str | None, ...]
-    rows: tuple[Line, ...]
+    rows: tuple[NumberedLine, ...]
 
     @cached_property
     def cells(self) -> list[list[str]]:
@@ -117,7 +117,7 @@ class TextTable:
                 raise self._not_a_number(line, index, cell)
         return np.array([float(cell.replace(decimal, ".").lower().replace("d", "e")) for cell in column])
 
-    def _not_a_number(self, line: Line, index: int, cell: str) -> DataError:
+    def _not_a_number(self, line: NumberedLine, index: int, cell: str) -> DataError:
         where = f"{self.path}: line {line.number}, column {self.headings[index]!r}:"
         if not cell.strip():
             return DataError(f"{where} the cell is empty; leave those samples out or repair them")
@@ -138,7 +138,7 @@ def read_table(path: Path, options: TextOptions | None = None) -> TextTable:
     """
     options = options or TextOptions()
     text, encoding = read_text(path, options.encoding)
-    lines = [Line(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]
+    lines = [NumberedLine(i, line) for i, line in enumerate(text.split("\n"), start=1) if line.strip()]
     layout = find_layout(lines, encoding, options)
     rows = tuple(q for q in lines if q.number >= layout.rows_from > 0 and not is_comment(q.text))
     if layout.header is None and options.header_line is not None:
