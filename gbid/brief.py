@@ -5,10 +5,11 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
-from html import escape
 from typing import Any
 
 import numpy as np
+
+from gbid.naming.escape import html_text, printable
 
 WIDTH = 110
 """Number of characters in a line."""
@@ -54,17 +55,17 @@ class Description:
         if self.others:
             also = f"also: {', '.join(self.others)}"
             lines += textwrap.wrap(also, WIDTH, initial_indent="  ", subsequent_indent=" " * 8, break_long_words=False)
-        return "\n".join(lines).replace(_NO_BREAK, " ")
+        return "\n".join(map(printable, lines))
 
     def html(self) -> str:
         """Return a small table without a style of its own, so that it follows the notebook's."""
         rows = "".join(
-            f'<tr><th scope="row" style="text-align:left">{escape(name)}</th>'
-            f'<td style="text-align:left">{escape(value)}</td></tr>'
+            f'<tr><th scope="row" style="text-align:left">{html_text(name)}</th>'
+            f'<td style="text-align:left">{html_text(value)}</td></tr>'
             for name, value in self.rows.items()
         )
-        also = f"<p><small>also: {escape(', '.join(self.others))}</small></p>" if self.others else ""
-        return f"<div><p><strong>{escape(self.heading)}</strong></p><table><tbody>{rows}</tbody></table>{also}</div>"
+        also = f"<p><small>also: {html_text(', '.join(self.others))}</small></p>" if self.others else ""
+        return f"<div><p><strong>{html_text(self.heading)}</strong></p><table><tbody>{rows}</tbody></table>{also}</div>"
 
 
 class Brief:

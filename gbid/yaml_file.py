@@ -12,6 +12,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
+from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from gbid.errors import UsageError
 from gbid.files.text_checksum import is_changed, with_text_checksum
@@ -122,4 +123,6 @@ def _styled(value: Any) -> Any:
         return items
     if isinstance(value, float) and not math.isfinite(value):
         raise UsageError(f"{value} cannot be written to a model file; give finite numbers")
+    if isinstance(value, str) and value.startswith("?"):  # ruamel writes it in a list as it could not read it
+        return DoubleQuotedScalarString(value)
     return value

@@ -8,6 +8,7 @@ from typing import Any
 
 import typer
 
+from gbid.cli.telling import tell
 from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.experiment.run.outcome import Outcome
 
@@ -48,22 +49,21 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     idle = [o for o in failed if o.cause == "input"]
     if len(idle) > _IDLE:
         for stage, count in Counter(o.stage for o in idle).items():
-            typer.echo(f"gbid: error: {stage}: the input of {count} items is missing; see the failures", err=True)
+            tell(f"gbid: error: {stage}: the input of {count} items is missing; see the failures")
     for o in failed if len(idle) <= _IDLE else [o for o in failed if o.cause != "input"]:
         word = "defect" if o.cause == "defect" else "error"
         again = " (failed in an earlier run; use --retry to try again)" if o.before else ""
-        typer.echo(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}", err=True)
+        tell(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}")
     for o in stuck:
-        typer.echo(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})", err=True)
+        tell(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})")
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
-        typer.echo(
+        tell(
             f"gbid: error: crossval {row['fit']}: model of {row['model']} on {row['recording']}: "
             f"{row['output']} {row['fit_percent']:.2f} %, below the minimum of {row['minimum_percent']:g} %; "
-            "look at its figures (`residuals: true`), or lower minimum_percent",
-            err=True,
+            "look at its figures (`residuals: true`), or lower minimum_percent"
         )
     if len(missed) > _MISSED:
-        typer.echo(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed", err=True)
+        tell(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed")
     causes = {o.cause for o in failed}
     for cause, code in (("defect", GbidError.exit_code), ("usage", UsageError.exit_code)):
         if cause in causes:

@@ -12,6 +12,7 @@ from types import FrameType
 import typer
 
 from gbid.cli.printing import print_json
+from gbid.cli.telling import tell
 from gbid.errors import GbidError
 
 INTERRUPTED = 130
@@ -73,9 +74,9 @@ def _interrupt(_number: int, _frame: FrameType | None) -> None:
 
 def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> None:
     if debug:
-        typer.echo(traceback.format_exc(), err=True, nl=False)
+        tell(traceback.format_exc().rstrip())
     for line in lines:
-        typer.echo(f"gbid: {word}{line}", err=True)
+        tell(f"gbid: {word}{line}")
     if as_json:
         print_json({"error": {"exit_code": code, "messages": lines}})
     raise typer.Exit(code)

@@ -10,8 +10,10 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from gbid.cli.tally import Tally
+from gbid.cli.telling import tell
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.reporter import Reporter
+from gbid.naming.escape import printable
 
 if TYPE_CHECKING:
     from gbid.control.tuning.search.step import SearchStep
@@ -50,7 +52,7 @@ class PlainReporter:
         """Print the numbers of items when there are many."""
         self._tally, self._said = Tally(stage, todo, there, failed), time.monotonic()
         if self._tally.many:
-            _print(self._tally.opening())
+            tell(self._tally.opening())
 
     def begin(self, stage: str, item: str) -> None:
         """Store the item to which the iterations belong."""
@@ -61,27 +63,27 @@ class PlainReporter:
         """Print every tenth iteration."""
         text = self._line.of(progress)
         if progress.iteration and progress.iteration % EVERY == 0 and not self._tally.many:
-            _print(text)
+            tell(text)
 
     def search(self, step: SearchStep) -> None:
         """Print a step of the search, at intervals."""
         now = time.monotonic()
         if now - self._searched > SEARCH_PAUSE and not self._tally.many:
             self._searched = now
-            _print(self._line.of_search(step))
+            tell(self._line.of_search(step))
 
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""
         tally = self._tally
         tally.end(outcome)
         if tally.is_named(outcome):
-            _print(_outcome(outcome))
+            tell(_outcome(outcome))
         if not tally.many or outcome.stage != tally.stage:
             return
         now = time.monotonic()
         if outcome.state != "kept" and tally.todo and (tally.done == tally.todo or now - self._said > PAUSE):
             self._said = now
-            _print(tally.text())
+            tell(tally.text())
 
 
 class TerminalReporter:
@@ -94,27 +96,27 @@ class TerminalReporter:
         """Print the numbers of items when there are many."""
         self._tally = Tally(stage, todo, there, failed)
         if self._tally.many:
-            self._console.print(self._tally.opening(), markup=False, soft_wrap=True)
+            self._say(self._tally.opening())
 
     def begin(self, stage: str, item: str) -> None:
         """Show the present item."""
         self._line = _Line(item)  # without the stage, so that an iteration has room on a line of 80
         self._tally.begin(stage, item)
         if not self._tally.many:
-            self._status.update(f"{stage} {item}")
+            self._show(f"{stage} {item}")
         elif self._tally.running == 1 or not self._tally.done:
-            self._status.update(self._tally.text())  # else after the outcome of the previous item, which follows
+            self._show(self._tally.text())  # else after the outcome of the previous item, which follows
 
     def iteration(self, progress: Progress) -> None:
         """Show the iteration."""
         text = self._line.of(progress)
         if not self._tally.many:
-            self._status.update(text)
+            self._show(text)
 
     def search(self, step: SearchStep) -> None:
         """Show the step."""
         if not self._tally.many:
-            self._status.update(self._line.of_search(step))
+            self._show(self._line.of_search(step))
 
     def end(self, outcome: Outcome) -> None:
         """Print the outcome of an item; for many items only failures."""
@@ -122,11 +124,20 @@ class TerminalReporter:
         tally.end(outcome)
         counted = tally.many and outcome.stage == tally.stage
         if counted:
-            self._status.update(tally.text())
+            self._show(tally.text())
         if tally.is_named(outcome):
-            self._console.print(_outcome(outcome), markup=False, soft_wrap=True)
+            self._say(_outcome(outcome))
         if counted and tally.todo and tally.done == tally.todo:
-            self._console.print(tally.text(), markup=False, soft_wrap=True)
+            self._say(tally.text())
+
+    def _say(self, text: str) -> None:
+        self._console.print(printable(text), markup=False, soft_wrap=True)
+
+    def _show(self, text: str) -> None:
+        """Show a text in the line that is updated; the status would read a string as markup."""
+        from rich.text import Text
+
+        self._status.update(Text(printable(text)))
 
 
 class _Line:
@@ -154,7 +165,3 @@ def _outcome(outcome: Outcome) -> str:
     state = "failed before" if outcome.before else outcome.state
     why = f": {outcome.text}" if outcome.text else ""
     return f"{outcome.stage} {outcome.item}: {state}{took}{why}"
-
-
-def _print(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)  # noqa: T201

@@ -9,6 +9,7 @@ from typing import Literal
 
 from gbid._version import __version__
 from gbid.lpv import Domain, LPVModel
+from gbid.naming.escape import one_line
 
 Causality = Literal["input", "output", "parameter"]
 
@@ -110,9 +111,9 @@ def model_description(
     root = ET.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=_plain(f"{model.name} {identifier}" if model.name != identifier else identifier),
+        modelName=one_line(f"{model.name} {identifier}" if model.name != identifier else identifier),
         guid=guid,
-        description=_plain(description),
+        description=one_line(description),
         generationTool=f"gbid {__version__}",
         variableNamingConvention="flat",
         numberOfEventIndicators="0",
@@ -162,8 +163,3 @@ def _add_variable(listed: ET.Element, reference: int, variable: UnitVariable) ->
     numbers = {"start": variable.start, "min": variable.low, "max": variable.high}
     given = {key: repr(float(value)) for key, value in numbers.items() if value is not None}
     ET.SubElement(element, "Real", {"unit": variable.unit, **given})
-
-
-def _plain(text: str) -> str:
-    """Return a text on one line, without the control characters that XML cannot contain."""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).split())

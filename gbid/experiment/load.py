@@ -14,7 +14,7 @@ from gbid.experiment.checks import find_experiment_problems
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import ExperimentError, Location, Problem, dotted, in_file_order, schema_text
 from gbid.experiment.schema import ExperimentFile
-from gbid.naming.paths import given_path
+from gbid.naming.paths import file_stem, given_path
 from gbid.yaml_file import read_yaml
 
 
@@ -51,7 +51,7 @@ def load_experiment(path: str | Path, results: str | Path | None = None) -> Expe
         spec = _parse(_without(file.data, removed))[0]
     problems = [Problem(file.position(location), dotted(location), text) for location, text in faults]
     if spec is not None:
-        folder = Path(results) if results else path.parent / (spec.results or f"results/{spec.name}")
+        folder = Path(results) if results else path.parent / (spec.results or f"results/{file_stem(spec.name)}")
         experiment = Experiment(file, spec, folder)
         found = find_experiment_problems(experiment)
         problems += [experiment.problem(place, text) for place, text in found if not _touches(place, removed)]

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from gbid.control import ControllerDesign, load_controller
@@ -18,9 +19,11 @@ from gbid.experiment.stages.tune.plan import design_structure
 from gbid.exporters.export_target import ExportItem, Point, Surroundings
 from gbid.identify import load_fit
 from gbid.lpv import LPVModel, load_model
+from gbid.naming.paths import file_stem
 from gbid.yaml_file import read_yaml
 
 FOLDER = "export"
+_LONGEST = 50  # characters of a name in C and MATLAB, with room for what is added to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +93,7 @@ def find_exports(source: str, at: Point | None = None, results: Path | None = No
 def identifier(text: str) -> str:
     """Return a name that is valid as a C identifier and as the name of a MATLAB function."""
     name = re.sub(r"[^A-Za-z0-9_]", "_", text)
-    return (name if name[:1].isalpha() else f"m_{name}")[:50]
+    return file_stem(name if name[:1].isalpha() else f"m_{name}", _LONGEST, "_")
 
 
 def _of_model(name: str, model: LPVModel, at: Point | None) -> tuple[ExportItem, ...]:
@@ -136,7 +139,19 @@ def _of_experiment(path: Path, at: Point | None, results: Path | None) -> Export
     if not items:
         reason = f": {left_out[0]}" if left_out else ""
         raise DataError(f"{path}: no models and no controllers in {folder} yet{reason}; run `gbid run {path}` first")
-    return Exports(str(path), tuple(items), folder / FOLDER, tuple(left_out), tuple(notes))
+    return Exports(str(path), _apart(items), folder / FOLDER, tuple(left_out), tuple(notes))
+
+
+def _apart(items: Iterable[ExportItem]) -> tuple[ExportItem, ...]:
+    """Return items whose names differ, also where they are made of names that differ in a dot or a blank only."""
+    named: dict[str, ExportItem] = {}
+    for item in items:
+        name, count = item.name, 1
+        while name.lower() in named:  # also for file systems that do not tell capitals
+            count += 1
+            name = f"{item.name}_{count}"
+        named[name.lower()] = replace(item, name=name)
+    return tuple(named.values())
 
 
 def _tuned(job: Job, name: str) -> ControllerDesign:

@@ -58,13 +58,24 @@ def writing(path: str | Path, kind: FileKind, overwrite: bool = False) -> Iterat
         Kind of the file; it is checked at reading.
     overwrite : bool
         Whether an existing file may be replaced.
+
+    Raises
+    ------
+    DataError
+        When a text cannot be stored in HDF5.
     """
     with atomic_path(given_path(path), overwrite) as part, _through_memory(part, "w") as file:
         file.attrs["gbid_kind"] = kind.name
         file.attrs["schema_version"] = kind.schema_version
         file.attrs["creator"] = f"gbid {__version__}"
         file.attrs["created"] = datetime.now(UTC).isoformat(timespec="seconds")
-        yield file
+        try:
+            yield file
+        except ValueError as error:
+            if not isinstance(error, UnicodeEncodeError) and "embedded NULL" not in str(error):
+                raise
+            text = "a name or text contains a NUL character or half of a letter, which HDF5 cannot store"
+            raise DataError(f"{path}: cannot be written: {text}; change it") from None
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ from __future__ import annotations
 from gbid._version import __version__
 from gbid.identify import FitResult
 from gbid.lpv import LPVModel
+from gbid.naming.escape import one_line
 from gbid.structure import LinearModel
 
 _LOAD = "data = load(fullfile(fileparts(mfilename('fullpath')), '{name}.mat'));"
@@ -16,7 +17,7 @@ def linear_function(name: str, what: LinearModel | FitResult) -> str:
     with_idss = model.K is not None
     lines = [
         f"function {'[sys, fitted]' if with_idss else 'sys'} = {name}()",
-        f"%{name.upper()}  {_comment(model.name)}",
+        f"%{name.upper()}  {one_line(model.name)}",
         f"%   sys = {name}() gives the model as ss, in SI units.",
     ]
     if with_idss:
@@ -100,7 +101,7 @@ def lpv_function(name: str, model: LPVModel) -> str:
     outputs = "[bearing, plant, values]" if known else "[bearing, values]"
     lines = [
         f"function {outputs} = {name}(pressure_bar, speed_rpm)",
-        f"%{name.upper()}  {_comment(model.title or model.name)}",
+        f"%{name.upper()}  {one_line(model.title or model.name)}",
         f"%   bearing = {name}(6, 0) gives the model at 6 bar and 0 rpm as ss, from u to p [m], with exact delays.",
     ]
     if known:
@@ -147,8 +148,3 @@ def lpv_function(name: str, model: LPVModel) -> str:
             "plant.Name = bearing.Name;",
         ]
     return "\n".join([*lines, "end", ""])
-
-
-def _comment(text: str) -> str:
-    """Return a text as one line of a comment."""
-    return " ".join(text.split())

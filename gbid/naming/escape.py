@@ -6,6 +6,8 @@ CSV, C, XML) is escaped by them.
 
 from __future__ import annotations
 
+from html import escape
+
 
 def one_line(text: str) -> str:
     r"""Return a text on one line, without characters that act on a terminal or on the order of letters.
@@ -41,3 +43,14 @@ def printable(text: str) -> str:
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in text)
+
+
+def html_text(text: str) -> str:
+    """Return a text for HTML, as a text or as the value of an attribute; nothing in it acts on the page.
+
+    Parameters
+    ----------
+    text : str
+        Any text.
+    """
+    return escape(printable(text))

@@ -34,13 +34,17 @@ def given_path(path: object) -> Path:
     return found
 
 
-def file_stem(name: str) -> str:
+def file_stem(name: str, longest: int = LONGEST, join: str = "-") -> str:
     """Return a name for a part of a file name; a long one is cut and ends with a digest, so that it stays unique.
 
     Parameters
     ----------
     name : str
         A name without path separators.
+    longest : int
+        Largest number of bytes.
+    join : str
+        What stands before the digest.
 
     Examples
     --------
@@ -48,7 +52,7 @@ def file_stem(name: str) -> str:
     ('p5_n6000_prbs1', 120)
     """
     encoded = name.encode()
-    if len(encoded) <= LONGEST:
+    if len(encoded) <= longest:
         return name
     digest = hashlib.sha256(encoded).hexdigest()[:_DIGITS]
-    return f"{encoded[: LONGEST - _DIGITS - 1].decode(errors='ignore')}-{digest}"
+    return f"{encoded[: longest - _DIGITS - len(join)].decode(errors='ignore')}{join}{digest}"

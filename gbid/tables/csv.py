@@ -6,15 +6,18 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from gbid.naming.escape import one_line, printable
 from gbid.tables.table import Table, Value, value_of
 
-_QUOTED = re.compile(r'[,"\r\n]|^#')  # a first cell with # would be read as a comment
+_QUOTED = re.compile(r'[,"]|^#|^ | $')  # a first cell with # would be read as a comment
+_FORMULA = re.compile(r"[=@]|[+-](?=.)(?![0-9.]+([eE][+-]?[0-9]+)?$)")
 
 
 def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
     """Return the text of a CSV file: notes and comments in lines that begin with #, the headings, the rows.
 
-    Numbers are written with all digits, so that they are read back exactly. An empty cell is a missing value.
+    Numbers are written with all digits, so that they are read back exactly. An empty cell is a missing value. Each row
+    is one line of the file. A text that a spreadsheet would take for a formula begins with an apostrophe.
 
     Parameters
     ----------
@@ -28,8 +31,8 @@ def csv_text(table: Table, comments: Sequence[str] = ()) -> str:
     str
         Text of the file.
     """
-    lines = [f"# {' '.join(comment.split())}" for comment in (*table.notes, *comments)]
-    lines.append(_line(column.heading for column in table.columns))
+    lines = [f"# {one_line(comment)}" for comment in (*table.notes, *comments)]
+    lines.append(_line(_safe(column.heading) for column in table.columns))
     lines += [_line(_text(value_of(entry)) for entry in row) for row in table.rows]
     return "".join(f"{line}\n" for line in lines)
 
@@ -48,4 +51,9 @@ def _text(value: Value) -> str:
         return str(value).lower()
     if isinstance(value, float):
         return repr(float(value))
-    return "" if value is None else str(value)
+    return _safe(value) if isinstance(value, str) else "" if value is None else str(value)
+
+
+def _safe(text: str) -> str:
+    text = printable(text)
+    return f"'{text}" if _FORMULA.match(text) else text

@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from html import escape
-
+from gbid.naming.escape import html_text
 from gbid.tables.table import Cell, Column, Entry, Table
 
 
 def html_table(table: Table) -> str:
     """Return the HTML of a table; the first cell of a row is its heading. Texts are escaped."""
-    title = escape(table.title)
+    title = html_text(table.title)
     heads = "".join(
-        f'<th scope="col"{_left(column.left or i == 0)}>{escape(column.heading)}</th>'
+        f'<th scope="col"{_left(column.left or i == 0)}>{html_text(column.heading)}</th>'
         for i, column in enumerate(table.columns)
     )
     rows = "".join(f"<tr>{''.join(map(_cell, range(len(row)), table.columns, row))}</tr>\n" for row in table.rows)
-    notes = "".join(f'<p class="words">{escape(note)}</p>\n' for note in table.notes)
+    notes = "".join(f'<p class="words">{html_text(note)}</p>\n' for note in table.notes)
     return (
         f'<p class="caption" aria-hidden="true">{title}</p>\n'
         f'<div class="scroll" role="region" aria-label="{title}" tabindex="0">\n'
@@ -25,9 +24,9 @@ def html_table(table: Table) -> str:
 
 
 def _cell(i: int, column: Column, entry: Entry) -> str:
-    text = escape(column.show(entry))
+    text = html_text(column.show(entry))
     if isinstance(entry, Cell) and entry.href:
-        text = f'<a href="{escape(entry.href)}">{text}</a>'
+        text = f'<a href="{html_text(entry.href)}">{text}</a>'
     return f"<td{_left(column.left)}>{text}</td>" if i else f'<th scope="row">{text}</th>'
 
 

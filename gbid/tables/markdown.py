@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
+from gbid.naming.escape import one_line
 from gbid.tables.table import Table
 
 # Characters with a meaning in Markdown. An underscore inside a name has none.
@@ -27,4 +28,4 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def _escaped(text: str) -> str:
-    return _SPECIAL.sub(r"\\\g<0>", " ".join(text.split()))
+    return _SPECIAL.sub(r"\\\g<0>", one_line(text))

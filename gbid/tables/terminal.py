@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from gbid.naming.escape import printable
 from gbid.tables.table import Table
 
 if TYPE_CHECKING:
     from rich.console import Group
-
-_CONTROL = dict.fromkeys((*range(32), *range(127, 160)), " ")
 
 
 def terminal_table(table: Table) -> Group:
@@ -19,7 +18,7 @@ def terminal_table(table: Table) -> Group:
     from rich.table import Table as RichTable
     from rich.text import Text
 
-    title = Text(_one_line(table.title)) if table.title else None
+    title = Text(printable(table.title)) if table.title else None
     headed = any(column.name for column in table.columns)
     if headed:
         laid = RichTable(title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False)
@@ -27,7 +26,7 @@ def terminal_table(table: Table) -> Group:
         laid = RichTable.grid(padding=(0, 2, 0, 0))
     laid.title = title
     for column in table.columns:
-        heading = Text("\n".join(map(_one_line, column.lines.split("\n"))))
+        heading = Text("\n".join(map(printable, column.lines.split("\n"))))
         laid.add_column(
             heading,
             justify="left" if column.left else "right",
@@ -35,9 +34,5 @@ def terminal_table(table: Table) -> Group:
             overflow="fold" if column.wrap else "ellipsis",
         )
     for row in table.texts():
-        laid.add_row(*(Text(_one_line(text)) for text in row))
-    return Group(*([laid] if table.columns else []), *(Text(_one_line(note)) for note in table.notes))
-
-
-def _one_line(text: str) -> str:
-    return text.translate(_CONTROL)
+        laid.add_row(*(Text(printable(text)) for text in row))
+    return Group(*([laid] if table.columns else []), *(Text(printable(note)) for note in table.notes))

@@ -312,7 +312,7 @@ def test_names_with_marks_of_xml_and_line_breaks_do_no_harm(tmp_path):
 
     model = replace(MODEL, name='rig "1" <&> */\n\x01', title="")
     path = save_fmu(model, tmp_path / "odd.fmu", binary=False)
-    assert fmpy.read_model_description(str(path)).modelName == 'rig "1" <&> */ odd'
+    assert fmpy.read_model_description(str(path)).modelName == r'rig "1" <&> */ \x01 odd'
 
 
 def test_a_model_without_actuators_or_a_missing_compiler(tmp_path, monkeypatch):

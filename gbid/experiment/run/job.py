@@ -10,6 +10,7 @@ from typing import Protocol
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.reporter import Reporter, Silent
+from gbid.naming.paths import file_stem
 
 
 @dataclass(frozen=True)
@@ -87,5 +88,6 @@ class Job:
     retry: bool = False
 
     def path(self, folder: str, name: str, ending: str = ".h5") -> Path:
-        """Return the path of a result."""
-        return self.experiment.results / folder / f"{name}{ending}"
+        """Return the path of a result; a long name is cut, and ends with a digest."""
+        *above, last = name.split("/")
+        return self.experiment.results.joinpath(folder, *map(file_stem, above), f"{file_stem(last)}{ending}")

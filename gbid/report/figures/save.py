@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    pass
+from gbid.naming.escape import printable
 
 STYLE = Path(__file__).with_name("gbid.mplstyle")
 """Style of all figures."""
+_SYMBOL = re.compile(r"([A-Za-z])(?:_([A-Za-z0-9]{1,12}))?")
+_LONGEST = 48
 
 
 def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: str = "") -> None:
@@ -35,13 +38,28 @@ def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: st
         "svg": {"Description": note, "Date": None},
     }
     metadata: Mapping[str, str | None] = notes.get(kind, {})
-    with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE):
+    with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE), missing_letters_as_boxes():
         figure.savefig(path, format=kind, metadata=dict(metadata))
 
 
+@contextmanager
+def missing_letters_as_boxes() -> Iterator[None]:
+    """Return a context in which letters that the font lacks are drawn as boxes without a warning for each."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", r"Glyph \d+ .*missing from font", UserWarning)
+        yield
+
+
+def plain_label(text: str) -> str:
+    """Return free text for a figure: it is drawn as it is, also where it looks like mathematics, and cut when long."""
+    text = printable(text)
+    text = text if len(text) <= _LONGEST else f"{text[: _LONGEST - 1]}…"
+    return text.replace("$", r"\$")
+
+
 def symbol(name: str) -> str:
-    """Write the name of a channel as the paper does: ``p_x`` with an index."""
-    letter, _, index = name.partition("_")
-    if len(letter) == 1 and "_" not in index:
-        return f"${letter}_{{{index}}}$" if index else f"${letter}$"
-    return name
+    """Return the name of a channel as the paper writes it: ``p_x`` with an index. Other names stay as they are."""
+    found = _SYMBOL.fullmatch(name)
+    if found is None:
+        return plain_label(name)
+    return f"${found[1]}_{{{found[2]}}}$" if found[2] else f"${found[1]}$"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 
-from gbid.report.figures.save import STYLE
+from gbid.report.figures.save import STYLE, missing_letters_as_boxes
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -58,7 +58,8 @@ class Pictures:
         """
         buffer = io.StringIO()
         # Letters as outlines: a device without these fonts shows them correctly.
-        with mpl.rc_context(fname=STYLE), mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"}):
+        outlines = mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"})
+        with mpl.rc_context(fname=STYLE), outlines, missing_letters_as_boxes():
             figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
         return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
 

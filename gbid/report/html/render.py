@@ -11,6 +11,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from gbid._version import __version__
+from gbid.naming.escape import printable
 from gbid.report.html.page import PageSection
 from gbid.tables.html import html_table
 
@@ -38,7 +39,12 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
     """
     loader = FunctionLoader(_read)
     environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=loader,
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
     )
     environment.filters["embedded"] = _embedded
     environment.filters["html_table"] = lambda table: Markup(html_table(table))

@@ -26,6 +26,7 @@ from gbid.report.figures.canvas import (
     styled,
 )
 from gbid.report.figures.named import NamedFigure
+from gbid.report.figures.save import plain_label
 from gbid.report.reader import Results
 
 if TYPE_CHECKING:
@@ -136,15 +137,15 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
         scale, unit = _shown(staircase.command_unit)
         command, position, rising = staircase.plateaus()
         line = series(k, marker=None, linewidth=0.9)
-        panel.plot(scale * command, 1e6 * position, label=staircase.label, **line)
+        panel.plot(scale * command, 1e6 * position, label=plain_label(staircase.label), **line)
         for there, marker in ((rising, "^"), (~rising, "v")):
             look = series(k, linestyle="none", marker=marker, markersize=3.5, markerfacecolor="none")
             panel.plot(scale * command[there], 1e6 * position[there], **look)
-        panel.set_xlabel(f"command [{unit}]")
+        panel.set_xlabel(f"command [{plain_label(unit)}]")
         panel.set_ylabel("piezo position [µm]")
         panel.legend(loc="upper left", fontsize=7.5)
         panel.set_title("△ rising  ▽ falling", loc="right", pad=4, fontsize=7.5)
-        axes[-1].plot(staircase.time, _share(staircase.command), label=staircase.label, **line)
+        axes[-1].plot(staircase.time, _share(staircase.command), label=plain_label(staircase.label), **line)
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_ylabel("command [share of its range]")
     letter(axes)
@@ -173,7 +174,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
         color = (BLACK, RED)[k] if k < 2 else series(k)["color"]
         labelled: set[bool] = set()
         for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
-            word = None if bool(up) in labelled else f"{staircase.label}, {'up' if up else 'down'}"
+            word = None if bool(up) in labelled else f"{plain_label(staircase.label)}, {'up' if up else 'down'}"
             labelled.add(bool(up))
             style = {"linewidth": 0.9, "linestyle": "-" if up else (0, (3, 1.5)), "alpha": 1.0 if k else 0.8}
             axes[0].plot(1e3 * time, 1e6 * position, color=color, label=word, **style)  # type: ignore[arg-type]

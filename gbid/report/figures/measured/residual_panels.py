@@ -15,7 +15,7 @@ from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.report.figures.canvas import styled
-from gbid.report.figures.save import STYLE, symbol
+from gbid.report.figures.save import STYLE, plain_label, symbol
 from gbid.tables.numbers import probability
 
 if TYPE_CHECKING:
@@ -110,7 +110,7 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
         figure.supxlabel(
             "shaded: 99 % of the values if the residuals are white, or independent of the input", fontsize=8
         )
-        figure.suptitle(f"residuals on {test.recording}" if title is None else title, fontsize=10)
+        figure.suptitle(f"residuals on {plain_label(test.recording)}" if title is None else title, fontsize=10)
     return figure
 
 

@@ -16,7 +16,7 @@ from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.stage import fit_path
 from gbid.report.figures.canvas import panels, styled
 from gbid.report.figures.named import NamedFigure
-from gbid.report.figures.save import symbol
+from gbid.report.figures.save import plain_label, symbol
 from gbid.report.reader import Results
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def _part(time: FloatArray, from_s: float | None, to_s: float | None) -> BoolArr
 
 def _shown_unit(unit: str) -> tuple[float, str]:
     """Return factor and label of a unit: micrometres for positions, other units unchanged."""
-    return (1e6, "µm") if unit == "m" else (1.0, unit or "-")
+    return (1e6, "µm") if unit == "m" else (1.0, plain_label(unit or "-"))
 
 
 def _title(validation: Validation) -> str:
@@ -163,7 +163,7 @@ def _title(validation: Validation) -> str:
         f"{validation.conditions[key]:g} {unit}" for key, unit in units.items() if key in validation.conditions
     )
     model = validation.fitted_to[0] if len(validation.fitted_to) == 1 else f"{len(validation.fitted_to)} recordings"
-    on = f"model of {model} on {validation.recording}"
+    on = f"model of {plain_label(model)} on {plain_label(validation.recording)}"
     if validation.fitted_to == (validation.recording,):
         on = f"model of {model} on its own recording"
     return f"{point}: {on}" if point else on

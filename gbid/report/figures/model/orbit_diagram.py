@@ -13,7 +13,7 @@ from gbid.errors import UsageError
 from gbid.identify import select
 from gbid.recording import Recording
 from gbid.report.figures.canvas import GREY, RED, panels, series, styled
-from gbid.report.figures.save import symbol
+from gbid.report.figures.save import plain_label, symbol
 from gbid.tables.numbers import shown_unit
 
 if TYPE_CHECKING:
@@ -121,6 +121,6 @@ def plot_orbit(recording: Recording | Orbit, ax: Axes | None = None, *, signal: 
         axes.plot(*closed.T, **series(0, marker=None))
         axes.plot(*closed[0], "o", color=RED, markersize=5)
     axes.set_aspect("equal", adjustable="datalim")
-    axes.set_xlabel(f"{symbol(data.names[0])} [{unit or '-'}]")
-    axes.set_ylabel(f"{symbol(data.names[1])} [{unit or '-'}]")
+    axes.set_xlabel(f"{symbol(data.names[0])} [{plain_label(unit or '-')}]")
+    axes.set_ylabel(f"{symbol(data.names[1])} [{plain_label(unit or '-')}]")
     return axes

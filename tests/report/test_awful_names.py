@@ -1,0 +1,199 @@
+"""Names and units are free text: twenty awful ones go through every output, and act on none."""
+
+import csv
+import io
+import re
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from fit_cases import MODE, MODE_AT, levels, simulated
+from matplotlib.figure import Figure
+from rich.console import Console
+from ruamel.yaml import YAML
+from scipy.io import loadmat
+
+import gbid
+from gbid.cli.progress import PlainReporter, TerminalReporter
+from gbid.errors import DataError
+from gbid.experiment.run.outcome import Outcome
+from gbid.identify import TableEntry, tabulate
+from gbid.identify.table.table_store import csv_table
+from gbid.interchange import save_csv, save_mat, save_yaml
+from gbid.naming.escape import printable
+from gbid.naming.paths import file_stem
+from gbid.report.figures.measured.residual_panels import residuals_figure
+from gbid.report.figures.measured.response import response_figure
+from gbid.report.figures.save import plain_label, save_figure, symbol
+from gbid.report.tables.fit_document import fit_document
+from gbid.report.tables.fit_tables import fit_tables
+from gbid.tables.csv import csv_text
+from gbid.tables.html import html_table
+from gbid.tables.markdown import markdown_table
+from gbid.tables.table import Column, Table
+from gbid.tables.terminal import terminal_table
+from gbid.target.identifiers import c_comment
+
+AWFUL = (
+    "[/]",
+    "[bold]x[/bold]",
+    "two\nlines",
+    "a\rb\tc",
+    300 * "long ",
+    "$\\frac{",
+    "$_",
+    "p_}",
+    "=HYPERLINK(A1)",
+    "+cmd|' /C calc'!A0",
+    "*/ int x; /*",
+    "??/ trigraph \\",
+    "<script>alert(1)</script>",
+    "\x1b[31mred\x1b[0m",
+    "\u202etfel",
+    'a,b;"c"|`d`',
+    "'; system('x'); %{",
+    "{0} %s %n {{ x }}",
+    "# comment, \u2028 and line",
+    "\N{CJK UNIFIED IDEOGRAPH-6F22} \N{SLIGHTLY SMILING FACE} \xb5",
+    " blank ",
+    "nul\0 and \x07",
+)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    recording = simulated(MODE, MODE_AT, levels(300), noise=0.3, name="run")
+    result = gbid.fit(MODE, recording)
+    return result, gbid.cross_validate(result, recording), gbid.check_residuals(result, recording)
+
+
+def named(result, name):
+    """The result as if structure, recording, signals and units were called so."""
+    model = replace(result.model, name=name, input_names=(name,), output_names=(f"y{name}",))
+    units = dict.fromkeys(result.units, name)
+    return replace(result, structure=name, recordings=(name,), units=units, model=model, notes=(name,))
+
+
+def acts_on_a_terminal(text):
+    return [c for c in text if not c.isprintable() and c != "\n"]
+
+
+class Tags(HTMLParser):
+    def __init__(self, page):
+        super().__init__()
+        self.tags = []
+        self.feed(page)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+
+
+def tables_of(result):
+    return fit_tables(result.structure, fit_document(result, {}, None))
+
+
+@pytest.mark.parametrize("name", AWFUL, ids=lambda name: ascii(name)[:20])
+def test_tables_keep_their_form(name, plain):
+    found = named(plain[0], name)
+    for table, usual in zip(tables_of(found), tables_of(plain[0]), strict=True):
+        console = Console(file=io.StringIO(), width=200, force_terminal=False)
+        console.print(terminal_table(table))
+        assert not acts_on_a_terminal(console.file.getvalue())
+        assert Tags(html_table(table)).tags[:12] == Tags(html_table(usual)).tags[:12]
+        assert "<script" not in html_table(table)
+        text = markdown_table(table)
+        assert not acts_on_a_terminal(text)
+    given = csv_table(tabulate([TableEntry(name, "m", (name,), {}, found)]))
+    text = csv_text(given, [name])
+    lines = [line for line in text.split("\n") if not line.startswith("# ")]
+    rows = list(csv.reader(lines[:-1]))
+    assert len(rows) == 2
+    assert len(rows[0]) == len(rows[1]) == len(given.columns)
+    assert not any(cell.startswith(("=", "+", "@")) for row in rows for cell in row)
+    assert not acts_on_a_terminal(text)
+    assert not acts_on_a_terminal(repr(found))
+
+
+@pytest.mark.parametrize("name", AWFUL, ids=lambda name: ascii(name)[:20])
+def test_files_for_other_programs(name, plain, tmp_path):
+    result = plain[0]
+    found = named(result, name)
+    _, usual = save_mat(result, tmp_path / "usual.mat")
+    numbers, function = save_mat(found, tmp_path / "awful.mat")
+    assert len(function.read_text().split("\n")) == len(usual.read_text().split("\n"))
+    lines = zip(function.read_text().split("\n"), usual.read_text().replace("usual", "awful").split("\n"), strict=True)
+    assert all(a == b or a.startswith("%") for a, b in lines)
+    assert loadmat(numbers)["InputName"][0, 0].item() == name.replace("\0", " ")
+    table = save_csv(found, tmp_path / "awful.csv")
+    assert len({len(row) for row in csv.reader(table.read_text(encoding="utf-8").split("\n")[:-1])}) == 1
+    text = save_yaml(found, tmp_path / "awful.yaml").read_text(encoding="utf-8")
+    assert YAML(typ="safe").load(text)["structure"] == name
+    recording = gbid.Recording(
+        {"u": np.zeros((3, 1))}, 1.0, {}, name, units={"u": name}, channels={"u": (name,)}, provenance={"by": name}
+    )
+    path = tmp_path / f"{file_stem(name.replace('/', '|').replace(chr(0), ''))}.h5"
+    if "\0" in name:
+        with pytest.raises(DataError, match="contains a NUL"):
+            gbid.save_recording(recording, path)
+        return
+    gbid.save_recording(recording, path)
+    again = gbid.load_recording(path)
+    assert (again.name, again.units, again.channels) == (recording.name, recording.units, recording.channels)
+
+
+def test_a_comment_in_c_ends_where_it_should():
+    for name in AWFUL:
+        text = c_comment(name)
+        assert re.fullmatch(r"[ -~]*", text)
+        assert "*/" not in text
+        assert "/*" not in text
+        assert not text.endswith("\\")
+
+
+def test_figures_draw_names_as_they_are(plain, tmp_path):
+    _, validation, residuals = plain
+    figure = Figure()
+    for name in AWFUL:
+        figure.text(0, 0, f"{symbol(name)} to $p_x$ [{plain_label(name)}]")
+        figure.text(0, 0, f"{symbol(name)}")
+    save_figure(figure, tmp_path / "names.svg")
+    assert symbol("p_x") == "$p_{x}$"
+    name = "$\\frac{"
+    awful = replace(
+        validation, recording=name, fitted_to=(name,), input_names=(name,), output_names=(name,), output_units=(name,)
+    )
+    save_figure(response_figure(awful, title=None), tmp_path / "response.svg")
+    save_figure(residuals_figure(replace(residuals, recording=300 * "x")), tmp_path / "residuals.svg")
+
+
+def test_progress_shows_names_as_they_are(capsys):
+    console = Console(file=io.StringIO(), force_terminal=True, width=100)
+    with console.status("") as status:
+        for reporter in (PlainReporter(), TerminalReporter(console, status)):
+            for name in AWFUL:
+                reporter.expect("fit", 1, 0, 0)
+                reporter.begin("fit", name)
+                reporter.end(Outcome("fit", name, None, "failed", name))
+    assert not acts_on_a_terminal(capsys.readouterr().err)
+    assert "\x1b[31mred" not in console.file.getvalue()
+
+
+def test_a_description_of_a_unit_is_xml():
+    from gbid.cosimulation.model_description import model_description, unit_variables
+
+    model = gbid.load_model("theisen2016")
+    for name in AWFUL:
+        awful = replace(model, name=name, title=name)
+        text = model_description("unit", awful, unit_variables(model.domain, False, 1e-6), "g", (), 1e-4, name)
+        assert ET.fromstring(text).attrib["description"] == " ".join(printable(name).split())
+
+
+def test_a_column_of_any_name_and_unit():
+    for name in AWFUL:
+        table = Table(name, [Column(name, name)], [[1.0]], [name])
+        console = Console(file=io.StringIO(), width=80)
+        console.print(terminal_table(table))
+        assert not acts_on_a_terminal(console.file.getvalue())
+        assert len(csv_text(table).split("\n")) == 4
