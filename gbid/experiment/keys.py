@@ -12,13 +12,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import h5py
-
 from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError, UsageError
 from gbid.files.text_checksum import add_text_checksum, is_changed
-from gbid.hdf5 import changing, has_valid_checksum
+from gbid.hdf5 import changing, opened
 
 ATTRIBUTE = "key"
 """Attribute at the root of an HDF5 file; other files contain ``content_key: <key>`` in a comment."""
@@ -70,8 +68,7 @@ def stored_key(path: Path) -> str:
     """Return the content key in a result file; empty when the file has none, is damaged or cannot be read."""
     try:
         if path.suffix == ".h5":
-            has_valid_checksum(path)
-            with h5py.File(path, "r") as file:
+            with opened(path) as file:
                 return str(file.attrs.get(ATTRIBUTE, ""))
         content = path.read_bytes()
         found = _IN_TEXT.search(content)

@@ -23,7 +23,7 @@ from gbid.errors import DataError, GbidError
 
 T = TypeVar("T")
 
-_SECONDS = 20.0  # longest time for a small file
+_SECONDS = 10.0  # longest time for a small file
 _BYTES_PER_SECOND = 5e6  # larger files have more
 _MEMORY = 1 << 30  # most memory for a small file, in bytes
 _MEMORY_PER_BYTE = 10

@@ -1,6 +1,5 @@
 """HDF5 files of gbid: atomic writing, checked reading, dataclasses stored by the types of their fields."""
 
-from gbid.files.checksum import has_valid_checksum
 from gbid.hdf5.entries import (
     DamagedError,
     add_dataset,
@@ -11,7 +10,7 @@ from gbid.hdf5.entries import (
     read_text,
     read_texts,
 )
-from gbid.hdf5.file import FileKind, changing, reading, writing
+from gbid.hdf5.file import FileKind, changing, opened, reading, writing
 from gbid.hdf5.store import load, read_fields, save, write_fields
 from gbid.hdf5.stored import NOT_STORED, Stored
 
@@ -23,8 +22,8 @@ __all__ = [
     "add_dataset",
     "add_texts",
     "changing",
-    "has_valid_checksum",
     "load",
+    "opened",
     "read_attribute",
     "read_dataset",
     "read_fields",

@@ -15,6 +15,7 @@ from gbid._version import __version__
 from gbid.atomic import atomic_path
 from gbid.errors import DataError
 from gbid.files.checksum import has_valid_checksum, with_checksum
+from gbid.hdf5.copying import copied
 from gbid.hdf5.entries import DamagedError
 from gbid.naming.paths import given_path
 
@@ -118,16 +119,12 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
     try:
         if not path.is_file():
             raise DataError(f"{path}: {'is not a file' if path.exists() else 'no such file'}")
-        is_whole = has_valid_checksum(path)
-        with h5py.File(path, "r") as file:
+        with opened(path) as file:
             version = _checked_version(file, path, kind)
-            if not is_whole and _CHECKSUM in file.attrs:
-                words = "the checksum at its end is missing: it is truncated, or was changed by another program"
-                raise DataError(f"{path}: {words}; {kind.remedy}")
             if version == kind.schema_version:
                 yield file
                 return
-        with _in_memory(path, "r+") as file:
+        with opened(path, can_change=True) as file:
             for upgrade in kind.upgrades[version - 1 :]:
                 if upgrade is None:
                     words = f"written by an older gbid (schema_version {version}); remove it and"
@@ -147,6 +144,30 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
         raise DataError(
             f"{path}: damaged {kind.name} file, its entries do not fit together ({error}); {kind.remedy}"
         ) from None
+
+
+@contextlib.contextmanager
+def opened(path: Path, can_change: bool = False) -> Iterator[h5py.File]:
+    """Return a context with an HDF5 file of gbid: the file itself if its checksum is right, else a copy in memory.
+
+    Changes, where they are allowed, stay in memory.
+
+    Raises
+    ------
+    DataError
+        When the checksum is wrong or missing. When a file that should have none cannot be copied.
+    OSError
+        When the file is not HDF5.
+    """
+    if has_valid_checksum(path):
+        with _in_memory(path, "r+") if can_change else h5py.File(path, "r") as file:
+            yield file
+        return
+    with copied(path, can_change) as file:
+        if _CHECKSUM in file.attrs:
+            words = "the checksum at its end is missing: it is truncated, or was changed by another program"
+            raise DataError(f"{path}: {words}; take a copy of it from a backup, or make it again")
+        yield file
 
 
 def _checked_version(file: h5py.File, path: Path, kind: FileKind) -> int:

@@ -125,3 +125,30 @@ def test_missing_entries_are_named(tmp_path):
             read(file)
         assert str(caught.value).startswith(f"{path}: ")
         assert words in str(caught.value)
+
+
+def test_a_file_without_checksum_is_copied_within_limits(tmp_path):
+    path = tmp_path / "old.h5"
+
+    def old(change):
+        with h5py.File(path, "w") as file:
+            file.attrs.update({"gbid_kind": "thing", "schema_version": 1})
+            file.create_dataset("texts", data=["a", "é"], dtype=h5py.string_dtype())
+            file.create_dataset("x", data=1.5).attrs["units"] = "m"
+            change(file)
+        with hdf5.reading(path, THING) as file:
+            return hdf5.read_dataset(file, "x"), list(hdf5.read_dataset(file, "texts", texts=True)), dict(file.attrs)
+
+    value, texts, attributes = old(lambda _: None)
+    assert (value, texts) == (1.5, ["a", "é"])
+    assert attributes == {"gbid_kind": "thing", "schema_version": 1}
+    for change, words in (
+        (
+            lambda file: file.create_dataset("y", (1 << 40,), "f8"),
+            "/y declares 8796093022208 bytes, more than",
+        ),
+        (lambda file: file.update(y=h5py.ExternalLink("/etc/passwd", "/")), "'y' is a link to elsewhere"),
+        (lambda file: file.create_dataset("y", (9,), "f8", external=[("other", 0, 72)]), "/y is in another file"),
+    ):
+        with pytest.raises(DataError, match=rf"old\.h5: .*{words}"):
+            old(change)

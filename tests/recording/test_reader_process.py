@@ -43,7 +43,7 @@ def test_answers_come_back_whatever_a_library_prints(file):
     ],
 )
 def test_what_a_library_does_is_an_error_of_the_file(file, reader, words, monkeypatch):
-    monkeypatch.setattr(reader_process, "_SECONDS", 1.0 if "1 s" in words else 20.0)
+    monkeypatch.setattr(reader_process, "_SECONDS", 1.0 if "1 s" in words else 10.0)
     with pytest.raises(DataError, match=words) as caught:
         read_apart(reader, file)
     assert str(caught.value).startswith(f"{file}: ")

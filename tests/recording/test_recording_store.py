@@ -162,7 +162,7 @@ DAMAGES = [
     (lambda f: f["signals/p"].attrs.pop("channels"), "/signals/p has no attribute 'channels'"),
     (lambda f: change(f["signals"], "p", NAN), "the first nan at sample 3, channel 1"),
     (lambda f: change(f["signals"], "p", np.ones((2, N))), "more channels than samples"),
-    (lambda f: change(f["signals"], "p", np.ones(N)), "shape (150,)"),
+    (lambda f: change(f["signals"], "p", np.ones(N)), "1 channels, expected 2 (x, y)"),
     (lambda f: change(f["signals"], "p", np.ones((N - 1, 2))), "different numbers of samples"),
     (lambda f: change(f["signals"], "p", np.full((N, 2), b"abc")), "not numbers"),
     (lambda f: change(f["signals"], "p", np.ones((N, 3))), "3 channels, expected 2 (x, y)"),
