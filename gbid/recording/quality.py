@@ -11,6 +11,7 @@ from gbid.arrays import BoolArray, FloatArray
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.quality_response import find_response_problems
 from gbid.recording.quality_rub import find_rub
+from gbid.recording.quality_speed import find_speed_changes
 from gbid.recording.quality_time import find_clock_problems, find_encoder_faults
 from gbid.recording.recording import Recording
 
@@ -39,7 +40,7 @@ def find_problems(
     Recordings of r, u and p with moving piezos get further checks. u and p must respond to the reference, and each
     axis more to its own reference than to the other (`gbid.recording.quality_response`). p must not show impacts on the
     bearing (`gbid.recording.quality_rub`). phi must turn without jumps and at the stated speed
-    (`gbid.recording.quality_time`). No check needs a model.
+    (`gbid.recording.quality_time`), which must not change (`gbid.recording.quality_speed`). No check needs a model.
 
     Parameters
     ----------
@@ -107,6 +108,7 @@ _FINDERS: tuple[_Finder, ...] = (
     (("p",), ("rub",), _find_rub),
     (("phi",), ("encoder",), find_encoder_faults),
     ((), ("sample_time",), find_clock_problems),
+    ((), ("speed",), find_speed_changes),
 )
 
 

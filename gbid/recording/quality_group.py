@@ -84,8 +84,8 @@ def _odd_clocks(holds: dict[str, tuple[int, float]]) -> list[tuple[str, str]]:
     for name, (samples, step) in holds.items():
         if count >= 2 and f"{samples * step:.6g}" != usual and samples in samples_of_usual:
             text = (
-                f"recording {name!r}: sample_time = {step:g} s is unlike the others': r is held for {samples} samples "
-                f"as theirs, which is {samples * step:g} s and not {usual} s; a sample time of "
+                f"recording {name!r}: sample_time_s = {step:g} s is unlike the others': r is held for {samples} "
+                f"samples as theirs, which is {samples * step:g} s and not {usual} s; a sample time of "
                 f"{float(usual) / samples:.4g} s would fit."
             )
             odd.append((name, text))

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 ProblemKind = Literal[
-    "constant", "saturated", "too_few_samples", "swapped", "dead", "rub", "sample_time", "encoder", "duplicate"
+    "constant", "saturated", "too_few_samples", "swapped", "dead", "rub", "sample_time", "encoder", "duplicate", "speed"
 ]
 
 
@@ -21,8 +21,8 @@ class SignalProblem:
         all channels.
     kind : str
         ``"constant"``, ``"saturated"``, ``"too_few_samples"``, ``"swapped"`` (channels x and y), ``"dead"`` (a sensor
-        that does not respond), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"`` or
-        ``"duplicate"``.
+        that does not respond), ``"rub"`` (the rotor touched the bearing), ``"sample_time"``, ``"encoder"``,
+        ``"duplicate"`` or ``"speed"`` (a run-up).
     text : str
         One sentence with the numbers and what to do.
     """

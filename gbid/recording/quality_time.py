@@ -28,7 +28,7 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
     far from the median of its neighbours is a jump. A stretch without increments while the rest turns is a stop. The
     step from a full turn to zero is neither.
     """
-    increments = _increments(rec)
+    increments = turning_increments(rec)
     if increments is None:
         return
     speed = median_filter(increments, size=_SMOOTH, mode="nearest")
@@ -59,11 +59,11 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
 def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
     """Return a wrong sample time: phi must turn at ``speed_rpm`` within 2 %.
 
-    The data cannot show whether the sample time or the speed is wrong. The text gives the sample time that would fit. A
-    recording with changing speed (a run-up) is not checked.
+    The data cannot show whether the sample time or the speed is wrong. The text gives the sample time that would fit.
+    For a recording with changing speed see `gbid.recording.quality_speed`.
     """
     claimed = rec.conditions.get("speed_rpm")
-    increments = _increments(rec)
+    increments = turning_increments(rec)
     if not claimed or increments is None:
         return
     quarter = len(increments) // 4
@@ -73,14 +73,14 @@ def find_clock_problems(rec: Recording) -> Iterator[SignalProblem]:
     measured = 60 * abs(float(increments.mean())) / _TURN / rec.sample_time
     if measured > 0 and abs(measured - abs(claimed)) > SPEED_TOLERANCE * abs(claimed):
         text = (
-            f"recording {rec.name!r}: sample_time = {rec.sample_time:g} s cannot be right: phi turns at {measured:.1f} "
-            f"rpm, but speed_rpm = {claimed:g}; a sample time of {rec.sample_time * measured / abs(claimed):.4g} s "
-            "would fit, or another speed."
+            f"recording {rec.name!r}: sample_time_s = {rec.sample_time:g} s cannot be right: phi turns at "
+            f"{measured:.1f} rpm, but speed_rpm = {claimed:g}; a sample time of "
+            f"{rec.sample_time * measured / abs(claimed):.4g} s would fit, or another speed."
         )
         yield SignalProblem("", "", "sample_time", text)
 
 
-def _increments(rec: Recording) -> FloatArray | None:
+def turning_increments(rec: Recording) -> FloatArray | None:
     """Return the angle increments wrapped to half a turn; None without an angle or for a shaft at rest."""
     if "phi" not in rec.signals or rec.signal("phi").shape[1] != 1 or rec.n_samples < 4 * _SMOOTH:
         return None

@@ -82,7 +82,9 @@ def test_nothing_is_wrong_with_the_whole_rig(point):
     ids=lambda e: repr(e)[:16],
 )
 def test_nothing_is_wrong_with_other_experiments(experiment):
-    assert found(rig(experiment, 6.0, 0.0)) == []
+    # a run-up is nothing wrong, but it has no one speed
+    changing = [("speed", "", "")] if isinstance(experiment, RunUp) else []
+    assert found(rig(experiment, 6.0, 0.0)) == changing
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason="the measured recordings are not on this machine")
@@ -206,6 +208,26 @@ def test_encoder_faults_are_named_and_the_wrap_is_not(prbs):
     (problem,) = find_problems(rec.with_signals(phi=phi))
     assert "stays at one angle for 200 samples (4.0%), the first at 0.2000 s" in problem.text
     assert found(rec.with_signals(phi=np.unwrap(rec.signal("phi"), axis=0))) == []
+
+
+def test_a_speed_that_changes_is_named_with_the_part_to_keep(prbs):
+    rec = prbs[5.0, 6000.0]
+    n = rec.n_samples
+    for share, words in (
+        (
+            np.minimum(1.0, 0.2 + 2.0 * np.arange(n) / n),
+            "a run-up before it: cut to the part at this speed with from_s: 0.4",
+        ),
+        (
+            np.minimum(1.0, 2.0 - 1.5 * np.arange(n) / n),
+            "a change of speed beside it: cut to the part at this speed with to_s: 0.6",
+        ),
+        (0.3 + 0.5 * np.arange(n) / n, "in 100% of it, but speed_rpm = 6000; correct speed_rpm"),
+    ):
+        phi = np.mod(np.cumsum(share * 6000 / 60 * TURN * rec.sample_time), TURN)
+        (problem,) = find_problems(rec.with_signals(phi=phi[:, None]), ["phi"])
+        assert (problem.kind, problem.signal) == ("speed", "")
+        assert words in problem.text
 
 
 def test_wrong_sample_time_shows_against_the_shaft(prbs):

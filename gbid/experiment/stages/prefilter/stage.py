@@ -131,7 +131,9 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
     still: list[Recording] = []
     for planned in _stationary(job.experiment, point):
         rec = load_made(job, planned)
-        refuse_bad_signals(planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time"))
+        refuse_bad_signals(
+            planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time", "speed")
+        )
         if section.align_index and still:
             rec = align_index(_identified(still[:1], section)[0], rec).apply(rec)
         still.append(rec)
