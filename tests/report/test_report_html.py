@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from browser import find_chromium
 from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner
@@ -33,9 +34,9 @@ from gbid.report.html.sections.summary_section import warnings
 from gbid.report.html.traces import packed, trace
 from gbid.report.reader import Results
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+CHROMIUM = find_chromium()
 needs_chromium = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium here; on Debian `apt-get install chromium` brings one"
+    CHROMIUM is None, reason="no Chromium for the tests in the browser; on Debian `apt-get install chromium` brings one"
 )
 ARGUMENTS = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=3000")
 
