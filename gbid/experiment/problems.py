@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from typing import Any, get_args, get_origin
+from types import UnionType
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
 from pydantic import BaseModel
 
@@ -77,12 +78,13 @@ def nearest(name: str, known: Iterable[str]) -> str:
 
 def schema_text(model: type[BaseModel], error: Any) -> tuple[Location, str]:
     """Return location and text of a pydantic error, in plain words for the author of the YAML."""
-    location: Location = tuple(error["loc"])
+    given: Location = tuple(error["loc"])
+    location, _ = _walk(model, given)
     kind, found, context = error["type"], error["input"], error.get("ctx", {})
     if location and location[-1] == "[key]":
         location = location[:-1]
     if kind == "extra_forbidden":
-        return location, f"unknown key; {nearest(str(location[-1]), _keys_at(model, location[:-1]))}"
+        return location, f"unknown key; {nearest(str(location[-1]), _keys_at(model, given[:-1]))}"
     if kind == "missing":
         return location, "is missing; add it"
     if kind == "value_error":
@@ -132,19 +134,47 @@ def _short(value: object) -> str:
 
 
 def _keys_at(model: type[BaseModel], location: Location) -> list[str]:
-    """Return the keys that the schema allows at a location."""
+    """Return the keys that the schema allows at a location of pydantic."""
+    kind = _inner_type(_walk(model, location)[1])
+    if isinstance(kind, type) and issubclass(kind, BaseModel):
+        return [field.alias or name for name, field in kind.model_fields.items()]
+    return []
+
+
+def _walk(model: type[BaseModel], location: Location) -> tuple[Location, Any]:
+    """Return the location in the YAML and the type there; pydantic adds the tag of a section that has several kinds."""
     kind: Any = model
+    found: list[str | int] = []
     for key in location:
+        tagged = _by_tag(kind)
+        if key in tagged:
+            kind = tagged[str(key)]
+            continue
+        found.append(key)
         kind = _inner_type(kind)
         if isinstance(kind, type) and issubclass(kind, BaseModel):
             fields = {field.alias or name: field.annotation for name, field in kind.model_fields.items()}
             kind = fields.get(str(key))
         elif get_origin(kind) in (dict, tuple):
             kind = get_args(kind)[1 if get_origin(kind) is dict else 0]
-    kind = _inner_type(kind)
-    if isinstance(kind, type) and issubclass(kind, BaseModel):
-        return [field.alias or name for name, field in kind.model_fields.items()]
-    return []
+    return tuple(found), kind
+
+
+def _by_tag(kind: Any) -> dict[str, Any]:
+    """Return the sections of a union of several kinds of sections, by the word that tells them apart."""
+    while get_origin(kind) is Annotated:
+        kind = get_args(kind)[0]
+    if get_origin(kind) not in (Union, UnionType):
+        return {}
+    sections = [arg for arg in get_args(kind) if isinstance(arg, type) and issubclass(arg, BaseModel)]
+    return {
+        str(tag): section
+        for section in sections
+        for field in section.model_fields.values()
+        if get_origin(field.annotation) is Literal
+        for tag in get_args(field.annotation)
+        if len(get_args(field.annotation)) == 1
+    }
 
 
 def _inner_type(kind: Any) -> Any:

@@ -18,6 +18,7 @@ from gbid.experiment.run.stage import run_stage
 from gbid.experiment.stages.impact.plan import controller_at
 from gbid.experiment.stages.tune.plan import design_structure
 from gbid.experiment.stages.tune.stage import PUBLISHED, TUNE
+from gbid.report.figures.loop.robustness_price import plot_robustness_price
 from gbid.share import share_folder
 
 MODEL = gbid.load_model("theisen2016")
@@ -286,6 +287,14 @@ fits:
 lpv: {fit: bearing, order: ["1", P, Omega, Omega P], actuators: theisen2016}
 controller:
   robust: {peak_sensitivity: 2.0, uncertainty: {draws: 2, seed: 1}}
+  sure:
+    operating_points: [{pressure_bar: 6, speed_rpm: 0}]
+    goals: [{goal: MaxDamping}, {goal: PeakSensitivity, limit: 2.0}]
+    robust: {probability: 0.8, draws: 12, fresh: 40}
+  each:
+    operating_points: [{pressure_bar: 6, speed_rpm: 0}]
+    goals: [{goal: MaxDamping}, {goal: MinDiskMargin, alpha: 0.7}]
+    uncertainty: {plants: recordings}
 """
 
 
@@ -299,12 +308,21 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
         assert result.exit_code == 0, result.output
     result = call("tune", path, "--json")
     assert result.exit_code == 0, result.output
-    document = json.loads(result.stdout)["tuning"][0]
+    document, sure, each = json.loads(result.stdout)["tuning"]
     assert document["plant"] == "small"
     assert len(document["points"]) == 4
     assert document["verified_on"].endswith("12 loops")  # four points, the surfaces and two drawn plants
     assert document["performance"][1]["name"] == PUBLISHED
     assert document["performance"][0]["worst"]["peak_output"]["value"] <= 2.0 * (1 + 1e-6)
+    assert each["verified_on"].endswith("9 loops")  # one point, the surfaces and the fits of eight recordings
+    assert each["goals"][0]["excess"] <= 1e-6
+    (promise,) = sure["promises"]
+    assert 0 < promise["promised"] < promise["nominal"]
+    assert (promise["probability"], promise["fresh"]) == (0.8, 40)
+    shown = call("tune", path)
+    assert "with probability 0.8: " in shown.stdout
+    picture = plot_robustness_price({"sure": load_tuned(sure["path"])})
+    assert next(line.get_label() for line in picture.axes[0].lines) == "sure"
     bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
     assert "add lpv: actuators" in call("check", bare).output
 

@@ -88,6 +88,45 @@ class CappedDesign(NamedTuple):
     result: GainResult
 
 
+class RobustPromise(NamedTuple):
+    """What a robust design promises on plants that it has not seen, beside the nominal design.
+
+    Attributes
+    ----------
+    probability, confidence : float
+        Probability of the promise, and its confidence.
+    promised : float
+        Objective that a plant reaches with this probability; minus infinity when there were too few draws.
+    keeps_limits : float
+        Lower confidence bound of the probability that a plant keeps all limits.
+    plants : int
+        Number of drawn plants for which the design was optimised.
+    fresh : int
+        Number of drawn plants that verified it.
+    of_nominal : float
+        Objective that the nominal design reaches with this probability.
+    limits_of_nominal : float
+        Share of the plants in which the nominal design keeps the limits.
+    nominal : float
+        Objective of the nominal design on the nominal plant.
+    """
+
+    probability: float
+    confidence: float
+    promised: float
+    keeps_limits: float
+    plants: int
+    fresh: int
+    of_nominal: float
+    limits_of_nominal: float
+    nominal: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the promise is finite, and the limits hold with the probability as well."""
+        return bool(np.isfinite(self.promised) and self.keeps_limits >= self.probability)
+
+
 @dataclass(frozen=True, eq=False)
 class TunedDesign:
     """Tuned design with its performance.
@@ -110,6 +149,8 @@ class TunedDesign:
         Sample time of the sampled loop [s]; its computation takes one sample.
     method : {"tustin", "zoh"}
         Discretisation of the controller.
+    promises : tuple of RobustPromise
+        Of a robust design: its promise, and those of designs for other probabilities, in rising order.
     """
 
     name: str
@@ -120,6 +161,7 @@ class TunedDesign:
     impact: HalfSine
     sample_time: float
     method: Method = "tustin"
+    promises: tuple[RobustPromise, ...] = ()
 
 
 def save_tuned(design: TunedDesign, path: str | Path, overwrite: bool = False) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from gbid.brief import Brief, Description, brief
 from gbid.control.tuning.gain_result import GainResult
+from gbid.control.tuning.goals.response_goals import PeakSensitivity
 from gbid.control.tuning.tune import tune
 from gbid.errors import UsageError
 from gbid.extras import data_frame
@@ -70,7 +71,7 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
     caps : sequence of float
         Limits on the peak of S_o, in any order; each above 1.
     **options
-        Options of `gbid.tune`, without ``peak_sensitivity``.
+        Options of `gbid.tune`, without ``peak_sensitivity``; of ``goals`` those besides it.
 
     Returns
     -------
@@ -92,8 +93,9 @@ def pareto(lpv: LPVModel, caps: Sequence[float], **options: Any) -> ParetoFront:
     if not rising or not all(np.isfinite(cap) and cap > 1 for cap in rising):
         raise UsageError(f"pareto: caps = {caps!r}; give numbers above 1 (S_o is 1 at high frequencies)")
     designs: list[GainResult] = []
-    given = options.pop("start", None)
+    given, goals = options.pop("start", None), options.pop("goals", None)
     for cap in rising:
         start = designs[-1].gains if designs and designs[-1].success else given
-        designs.append(tune(lpv, peak_sensitivity=cap, start=start, **options))
+        limit = {"peak_sensitivity": cap} if goals is None else {"goals": [*goals, PeakSensitivity(cap)]}
+        designs.append(tune(lpv, start=start, **limit, **options))
     return ParetoFront(tuple(rising), tuple(designs))

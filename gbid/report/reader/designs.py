@@ -10,6 +10,7 @@ from gbid.control.assessment.tuned_design import DesignFigures, TunedDesign
 from gbid.control.loop.sampling import Method
 from gbid.errors import DataError
 from gbid.experiment.run.job import Job
+from gbid.experiment.stages.tune.design_goals import peak_cap
 from gbid.experiment.stages.tune.plan import (
     design_structure,
     impact,
@@ -99,7 +100,7 @@ def assessed_designs(job: Job, designs: Mapping[str, TunedDesign]) -> tuple[Asse
         for name, design in group.items():
             section = experiment.spec.controller[name]
             plant, _ = design_plant(job, section)
-            conditions = plant, design.impact, design.sample_time, design.method, section.peak_sensitivity
+            conditions = plant, design.impact, design.sample_time, design.method, peak_cap(section)
             for figures in design.performance[: None if name == first else 1]:
                 came = None if figures is design.performance[0] else published_design(experiment, plant)
                 form = published_structure(came) if came else design_structure(experiment, section, plant.domain)
@@ -115,7 +116,7 @@ def assessed_published(job: Job, model: LPVModel | None) -> tuple[AssessedDesign
     if model is None or came is None or figures is None:
         return ()
     section = ControllerSection()
-    conditions = impact(section), sample_time(job.experiment, section), section.method, section.peak_sensitivity
+    conditions = impact(section), sample_time(job.experiment, section), section.method, peak_cap(section)
     about = figures.name, figures.name, figures, published_structure(came), model
     return (AssessedDesign(*about, *conditions, came=True),)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 from gbid.control.assessment.compare import COLUMNS
@@ -34,6 +35,7 @@ def tuning_documents(outcomes: Sequence[Outcome], designs: Mapping[str, TunedDes
             "impact": {"peak_n": design.impact.peak_n, "duration_s": design.impact.duration_s},
             "performance": [_performance_row(performance) for performance in design.performance],
             "pareto": [{"cap": cap, **_result_row(result)} for cap, result in design.front],
+            "promises": [{**promise._asdict(), "holds": promise.holds} for promise in design.promises],
         }
         for name, design in designs.items()
     ]
@@ -100,6 +102,14 @@ def _lines(document: Row) -> list[str]:
         f"  checked: {document['verified_on']}",
         *(f"  note: {note}" for note in document["notes"]),
     ]
+    for row in document["goals"]:
+        kind = "objective" if row["soft"] else "limit"
+        lines.append(f"  {kind} on {row['name']}: {row['excess']:+.4f} beyond it, at {row['where']}")
+    for row in document["promises"]:
+        lines.append(
+            f"  with probability {row['probability']:g}: {row['promised']:.4f}, limits kept with at least "
+            f"{row['keeps_limits']:.3f}; nominal design {row['of_nominal']:.4f}, {row['limits_of_nominal']:.3f}"
+        )
     for row in document["pareto"]:
         found = f"{row['value']:.4f}" if row["success"] else row["status"]
         lines.append(f"  peak of S_o at most {row['cap']:g}: {row['objective']} {found}")
@@ -120,6 +130,7 @@ def _result_row(result: GainResult) -> Row:
             "damping": result.worst.damping,
         },
         "active": list(result.active),
+        "goals": [asdict(figure) for figure in result.goals],
         "notes": list(result.notes),
     }
 

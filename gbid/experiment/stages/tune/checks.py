@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from gbid.control import Scheduled
+from gbid.control.tuning.goals.goal import DesignContext, limits_of
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import Found, Location, nearest
-from gbid.experiment.stages.tune.plan import design_structure, named_model, surfaces_item
+from gbid.experiment.stages.tune.design_goals import made_goal, no_disturbance
+from gbid.experiment.stages.tune.plan import SHORT_FORM, design_structure, named_model, surfaces_item
 from gbid.experiment.stages.tune.schema import ControllerSection
-from gbid.lpv import LPVModel
+from gbid.lpv import LPVModel, load_model
 from gbid.structure.linear import Structure
 
 
@@ -28,12 +30,14 @@ def designs_can_be_tuned(experiment: Experiment) -> Found:
             except GbidError as error:
                 yield (*where, "model") if section.model else where, str(error)
                 continue
-            if section.uncertainty is not None:
-                yield (*where, "uncertainty"), "needs the surfaces of this experiment; write model: lpv"
+            for key in ("uncertainty", "robust"):
+                if getattr(section, key) is not None:
+                    yield (*where, key), "needs the surfaces of this experiment; write model: lpv"
         else:
             yield from _surfaces_problems(experiment, section, where)
         if model is not None:
             yield from _point_problems(section, model, where)
+        yield from _goal_problems(experiment, section, where)
         try:
             structure = design_structure(experiment, section, None if model is None else model.domain)
         except GbidError as error:
@@ -68,6 +72,46 @@ def _point_problems(section: ControllerSection, model: LPVModel, where: Location
                     (*where, "operating_points", i, key),
                     f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
                 )
+
+
+def _goal_problems(experiment: Experiment, section: ControllerSection, where: Location) -> Found:
+    if section.robust is not None:
+        if section.goals is None:
+            yield (*where, "robust"), "needs goals; list them, such as goals: [{goal: MaxDamping}]"
+        if section.uncertainty is not None:
+            yield (*where, "uncertainty"), "comes with robust already; leave it out"
+        if section.pareto:
+            yield (*where, "pareto"), "is not for robust designs; write price: [...] below robust, or a second design"
+    if section.goals is None:
+        return
+    for key in SHORT_FORM:
+        if key in section.model_fields_set:
+            yield (*where, key), "stands beside goals; write it as a goal, too"
+    goals = []
+    for i, entry in enumerate(section.goals):
+        try:
+            goals.append(made_goal(entry, no_disturbance))
+        except GbidError as error:
+            yield (*where, "goals", i), str(error)
+        for pattern in entry.given().get("disturbance", ()):
+            yield from _disturbance_problems(experiment, pattern, (*where, "goals", i, "disturbance"))
+    if len(goals) < len(section.goals):
+        return
+    try:  # every plant has the channels of this one
+        limits_of(goals, DesignContext(load_model("theisen2016").plant_at(6.0, 0.0)))
+    except GbidError as error:
+        yield (*where, "goals"), str(error)
+
+
+def _disturbance_problems(experiment: Experiment, pattern: str, where: Location) -> Found:
+    found = experiment.matching((pattern,))
+    if not found:
+        yield where, f"no recording {pattern!r}; {nearest(pattern, experiment.recordings)}"
+    for planned in found:
+        if not planned.stationary:
+            yield where, f"recording {planned.name!r} is not stationary; its spectrum is not that of a disturbance"
+        elif "p" not in planned.signals:
+            yield where, f"recording {planned.name!r} has no signal p; there is {', '.join(planned.signals)}"
 
 
 def _gain_problems(section: ControllerSection, structure: Structure | Scheduled, where: Location) -> Found:

@@ -12,6 +12,7 @@ from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import nearest
 from gbid.experiment.stages.rig.model import rig_model
+from gbid.experiment.stages.tune.design_goals import impact_of_goals
 from gbid.experiment.stages.tune.schema import ControllerSection
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, load_model
 from gbid.structure import load_structure
@@ -19,6 +20,15 @@ from gbid.structure.linear import Structure
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
 """Words for the surfaces of an experiment, and the suffixes of their files."""
+SHORT_FORM = (
+    "peak_sensitivity",
+    "peak_control",
+    "static_amplification",
+    "slowest_pole",
+    "objective",
+    "impact",
+)
+"""Keys of a design in whose place goals come."""
 _SAMPLE_TIME_S = 2e-4
 
 
@@ -130,8 +140,10 @@ def structure_text(experiment: Experiment, section: ControllerSection) -> bytes:
 
 
 def impact(section: ControllerSection) -> HalfSine:
-    """Return the impact for the assessment of designs: that of the section, or the default."""
-    given = section.impact
+    """Return the impact for the assessment of designs: that of the goals or of the section, or the default."""
+    goal, given = impact_of_goals(section), section.impact
+    if goal is not None:
+        return goal.impact
     return HalfSine() if given is None else HalfSine(given.peak_n, given.duration_s)
 
 
@@ -144,11 +156,11 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
         "operating_points": points,
         "bounds": section.bounds or None,
         "start": section.start or None,
-        **{
-            key: getattr(section, key)
-            for key in ("peak_control", "static_amplification", "slowest_pole", "objective", "starts", "seed")
-        },
+        "starts": section.starts,
+        "seed": section.seed,
     }
+    if section.goals is None:
+        options |= {key: getattr(section, key) for key in SHORT_FORM[1:5]}
     if section.impact is not None:
         options |= {"impact": impact(section), "piezo_travel_m": section.impact.piezo_travel_m}
     return options
@@ -156,7 +168,8 @@ def tune_options(section: ControllerSection) -> dict[str, Any]:
 
 def assess_options(experiment: Experiment, section: ControllerSection) -> dict[str, Any]:
     """Return the arguments of `gbid.control.assess` from the section, except the points."""
-    travel = None if section.impact is None else section.impact.piezo_travel_m
+    goal = impact_of_goals(section)
+    travel = section.impact.piezo_travel_m if section.impact else goal.travel_m if goal else None
     return {
         "sample_time": sample_time(experiment, section),
         "method": section.method,

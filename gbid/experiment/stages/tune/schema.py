@@ -10,6 +10,7 @@ from pydantic import AllowInfNan, BeforeValidator, Field, PlainSerializer, Stric
 from gbid.experiment.fields import Count, CountOrZero, NotNegative, Number, Pair, Positive, Section, Switch, Text, given
 from gbid.experiment.stages.impact.schema import ImpactPoint
 from gbid.experiment.stages.lpv.schema import Term
+from gbid.experiment.stages.tune.goal_entries import GoalEntry
 
 Cap = Annotated[float, Strict(), AllowInfNan(False), Field(gt=1)]
 """Cap on the peak of S_o; it exceeds 1, the value of S_o at high frequencies."""
@@ -57,10 +58,33 @@ class ImpactSection(Section):
 
 
 class DrawnPlantsSection(Section):
-    """Plants drawn from the covariance of the surfaces' coefficients; the design must meet the limits for each."""
+    """Plants besides the surfaces themselves; the design must meet the limits for each.
 
+    `plants`: ``draws`` from the covariance of the surfaces' coefficients, or ``recordings``: the fit of every
+    recording by its deviation from the surfaces, at all operating points.
+    """
+
+    plants: Literal["draws", "recordings"] = "draws"
     draws: Count = 10
     seed: CountOrZero = 0
+
+
+Probability = Annotated[float, Strict(), AllowInfNan(False), Field(ge=0.5, lt=1)]
+
+
+class RobustSection(Section):
+    """Design that holds with a probability over plants drawn from the surfaces; see `gbid.control.tune_robust`.
+
+    The draws come from the covariance of the coefficients and the scatter between recordings. `price`: further
+    probabilities, for the curve of the price of robustness.
+    """
+
+    probability: Probability = 0.95
+    confidence: Annotated[float, Strict(), AllowInfNan(False), Field(gt=0, lt=1)] = 0.95
+    draws: Annotated[int, Strict(), Field(ge=10)] = 200
+    fresh: Annotated[int, Strict(), Field(ge=10)] = 500
+    seed: CountOrZero = 0
+    price: tuple[Probability, ...] = ()
 
 
 class ControllerSection(Section):
@@ -74,7 +98,10 @@ class ControllerSection(Section):
     `model`: ``lpv`` or ``lpv_direct`` for the surfaces of this experiment, else the name or file of a model. When it is
     left out, the surfaces are used if there is a section lpv, else the model of the rig.
     `operating_points`: ``model`` for those of the model, ``domain`` for its whole rectangle, or a list.
-    `peak_sensitivity`: null for none. `uncertainty` needs the surfaces of this experiment.
+    `peak_sensitivity`: null for none. `goals`: objectives and limits by the names of `gbid.control`, each with its
+    arguments, such as ``{goal: PeakSensitivity, limit: 2.0}``; they replace `objective`, `peak_sensitivity`,
+    `peak_control`, `static_amplification`, `slowest_pole` and `impact`. `robust`: a design that holds with a
+    probability; it needs goals and, as `uncertainty` does, the surfaces of this experiment.
     `pareto`: further caps on the peak of S_o; the same design is tuned under each.
     `sample_time_s` and `method`: sampling of the controller file; the default is the sample time of the rig.
     `design_for`: ``sampled`` tunes the loop as it runs, with the delay of sampling and one sample for computation;
@@ -96,8 +123,10 @@ class ControllerSection(Section):
     objective: Literal["damping", "decay"] = "damping"
     design_for: Literal["continuous", "sampled"] = "continuous"
     impact: Annotated[ImpactSection | None, BeforeValidator(given)] = None
+    goals: Annotated[tuple[GoalEntry, ...] | None, BeforeValidator(given), Field(min_length=1)] = None
     bounds: dict[Text, Pair] = Field(default_factory=dict)
     uncertainty: Annotated[DrawnPlantsSection | None, BeforeValidator(given)] = None
+    robust: Annotated[RobustSection | None, BeforeValidator(given)] = None
     start: dict[Text, Number] = Field(default_factory=dict)
     starts: Count | None = None
     seed: CountOrZero = 0

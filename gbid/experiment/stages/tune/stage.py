@@ -3,24 +3,34 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from gbid.control import (
     GainResult,
+    Goal,
     Scheduled,
     SearchStep,
     Uncertainty,
     assess,
     pareto,
+    price_of_robustness,
     save_controller,
     tune,
 )
-from gbid.control.assessment.tuned_design import CappedDesign, DesignFigures, TunedDesign, load_tuned, save_tuned
+from gbid.control.assessment.tuned_design import (
+    CappedDesign,
+    DesignFigures,
+    RobustPromise,
+    TunedDesign,
+    load_tuned,
+    save_tuned,
+)
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.recordings import recording_key
 from gbid.experiment.run.inputs import InputError
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
@@ -29,6 +39,7 @@ from gbid.experiment.stages.impact.plan import TUNED
 from gbid.experiment.stages.lpv.stage import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv.stage import read_surfaces
 from gbid.experiment.stages.tune.checks import designs_can_be_tuned
+from gbid.experiment.stages.tune.design_goals import design_goals, goal_recordings, peak_cap, without_cap
 from gbid.experiment.stages.tune.plan import (
     assess_options,
     controller_section,
@@ -43,7 +54,7 @@ from gbid.experiment.stages.tune.plan import (
     tune_options,
     with_actuators,
 )
-from gbid.experiment.stages.tune.schema import ControllerSection
+from gbid.experiment.stages.tune.schema import ControllerSection, RobustSection
 from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit
 
 PUBLISHED = "published"
@@ -129,24 +140,30 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
         "published": published,
         "model": model,
     }
-    return content_key("tuned design", settings, sources)
+    disturbing = [recording_key(experiment, planned) for planned in goal_recordings(experiment, section)]
+    return content_key("tuned design", settings, [*sources, *disturbing])
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
-    """Return the model of a design, and its uncertainty when the section wants plants drawn from it."""
+    """Return the model of a design, and its uncertainty when the section wants other plants besides it."""
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
     fit = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml"))
-    drawn = section.uncertainty
-    plants = None if drawn is None else Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
-    return with_actuators(fit.model), plants
+    model, drawn = with_actuators(fit.model), section.uncertainty
+    if section.robust is not None:
+        return model, Uncertainty(fit.covariance, scatter=fit.scatter)
+    if drawn is None:
+        return model, None
+    if drawn.plants == "recordings":
+        return model, Uncertainty(samples=fit.estimates.values - fit.surface)
+    return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
 
 
 def _tune(job: Job, name: str, part: Path) -> Made:
     experiment, section = job.experiment, controller_section(job.experiment, name)
     model, plants = design_plant(job, section)
-    structure = design_structure(experiment, section, model.domain)
+    structure, goals = design_structure(experiment, section, model.domain), design_goals(job, section)
 
     def progress(step: SearchStep) -> None:
         job.reporter.search(step)
@@ -159,21 +176,56 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         "method": section.method,
         "progress": progress,
     }
-    result = tune(model, peak_sensitivity=section.peak_sensitivity, **options)
-    front = pareto(model, section.pareto, **options) if section.pareto else None
-    performance = _performance(job, section, name, model, structure, result)
+    promises: tuple[RobustPromise, ...] = ()
+    front: tuple[CappedDesign, ...] = ()
+    if section.robust is not None:
+        assert goals is not None
+        result, promises = _robust(model, section.robust, goals, options)
+    else:
+        limits: dict[str, Any] = {"goals": goals} if goals else {"peak_sensitivity": section.peak_sensitivity}
+        result = tune(model, **limits, **options)
+        if section.pareto:
+            others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
+            front = tuple(map(CappedDesign, others.caps, others.designs))
     design = TunedDesign(
         name,
         model.name,
         result,
-        performance,
-        () if front is None else tuple(map(CappedDesign, front.caps, front.designs)),
+        _performance(job, section, name, model, structure, result),
+        front,
         impact(section),
         sample_time(experiment, section),
         section.method,
+        promises,
     )
     save_tuned(design, part, overwrite=True)
     return _made(design)
+
+
+def _robust(
+    model: LPVModel, section: RobustSection, goals: Sequence[Goal], options: Mapping[str, Any]
+) -> tuple[GainResult, tuple[RobustPromise, ...]]:
+    """Return the design for the wanted probability, and the promises for all of them."""
+    numbers = {key: getattr(section, key) for key in ("confidence", "draws", "fresh", "seed")}
+    search = {key: value for key, value in options.items() if key != "seed"}
+    price = price_of_robustness(
+        model, goals=goals, probabilities=(section.probability, *section.price), **search, **numbers
+    )
+    promises = tuple(
+        RobustPromise(
+            p,
+            design.confidence,
+            design.promised,
+            design.keeps_limits,
+            len(design.plants),
+            len(design.fresh.value),
+            plain,
+            price.limits_of_nominal,
+            price.nominal,
+        )
+        for p, design, plain in zip(price.probabilities, price.designs, price.of_nominal, strict=True)
+    )
+    return price.designs[price.probabilities.index(section.probability)].result, promises
 
 
 def _performance(
@@ -232,8 +284,9 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
         result.objective: result.value,
         "verified_on": result.verified_on,
     }
-    if section.peak_sensitivity is not None:
-        provenance["cap_peak_sensitivity"] = section.peak_sensitivity
+    cap = peak_cap(section)
+    if cap is not None:
+        provenance["cap_peak_sensitivity"] = cap
     if result.peak_sensitivity is not None:
         provenance["peak_sensitivity"] = result.peak_sensitivity
     with tempfile.TemporaryDirectory() as folder:  # save_controller chooses the format by the ending

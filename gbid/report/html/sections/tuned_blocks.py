@@ -1,13 +1,15 @@
-"""Blocks on the results of the tuning: objective, active limits, notes, and the Pareto front."""
+"""Blocks on the results of the tuning: objective, active limits, goals, promises, notes, and the Pareto front."""
 
 from __future__ import annotations
 
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import GbidError
 from gbid.report.figures.loop.pareto_curves import designs_pareto_data, plot_pareto
+from gbid.report.figures.loop.robustness_price import plot_robustness_price
 from gbid.report.html.page import Block, Listed, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.reader import Results
+from gbid.report.tables.promise_tables import caps_table, goals_table, promises_table
 from gbid.tables.table import Column, Table
 
 
@@ -39,6 +41,11 @@ def tuned_blocks(results: Results, pictures: Pictures) -> list[Block]:
         blocks += [Words(f"{name}: {text}", "warn") for text in held_back(design)]
     columns = ("design", "status", "aim reached", "worst mode", "limited by", "checked")
     blocks.append(Table("What the tuning found", [Column(name) for name in columns], rows))
+    tables = (goals_table(tuned), caps_table(tuned), promises_table(tuned))
+    blocks += [table for table in tables if table is not None]
+    if any(design.promises for design in tuned.values()):
+        words = "Promised objective of robust designs over the probability; the table above has its numbers"
+        blocks.append(Shown(pictures.picture(plot_robustness_price(tuned), words)))
     notes = [f"{name}: {note}" for name, design in tuned.items() for note in design.result.notes]
     if notes:
         blocks.append(Listed(notes))
