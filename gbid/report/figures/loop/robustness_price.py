@@ -52,7 +52,6 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     objectives = {design.result.objective for design in robust.values()}
     panel.set_xlabel("probability [-]")
     panel.set_ylabel(unit.get(objectives.pop(), "promised objective") if len(objectives) == 1 else "promised objective")
-    panel.set_ylim(bottom=0.0)
     panel.legend(loc="best")
     return figure
 
