@@ -44,7 +44,8 @@ def locked(results: Path, shared: bool = False) -> Iterator[None]:
             "elsewhere"
         ) from None
     except OSError as error:
-        raise DataError(f"{path}: cannot be locked: {error.strerror or error}") from None
+        text = f"{path}: cannot be locked: {error.strerror or error}; use --results to write elsewhere"
+        raise DataError(text) from None
     try:
         if not shared:
             _sign(handle)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import signal
 import threading
 import traceback
@@ -30,6 +31,7 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
     debug : bool
         Whether the traceback is shown.
     """
+    logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home folder it would tell where its cache is
     try:
         with _interrupted_by_termination():
             yield
