@@ -6,6 +6,7 @@ import contextlib
 import errno
 import os
 import re
+import shutil
 import socket
 import tempfile
 import time
@@ -16,7 +17,7 @@ from gbid.errors import DataError, NoSpaceError, UsageError
 
 _ENDING = ".part"
 _DAY = 86400.0
-_OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)\.[^.]*\.part$")
+_OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)(-(?P<begun>\d+))?\.[^.]*\.part$")
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tells it in words
 
@@ -48,8 +49,7 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
         return
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        prefix = f".{path.name}.{_host()}~{os.getpid()}."
-        handle, name = tempfile.mkstemp(dir=path.parent, prefix=prefix, suffix=_ENDING)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=_prefix(path.name), suffix=_ENDING)
     except OSError as error:
         raise _cannot_write(path, error) from None
     os.close(handle)
@@ -72,15 +72,42 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
         part.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def scratch_folder(beside: Path) -> Iterator[Path]:
+    """Give a temporary folder beside a path. When its process is killed, `remove_stale_parts` finds it there.
+
+    Raises
+    ------
+    DataError
+        When the folder cannot be made.
+    """
+    try:
+        beside.parent.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(dir=beside.parent, prefix=_prefix("scratch"), suffix=_ENDING))
+    except OSError as error:
+        raise _cannot_write(beside.parent, error) from None
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
 def is_no_space(error: BaseException) -> bool:
     """Whether an error says that the disk or the quota is full."""
     return getattr(error, "errno", None) in _FULL or bool(_IN_WORDS.search(str(error)))
 
 
-def remove_stale_parts(folder: Path) -> list[Path]:
-    """Remove temporary files that killed processes left in a folder and below it.
+def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
+    """Remove temporary files and folders that killed processes left in a folder and below it.
 
     Only those of gbid, and only those whose process is gone; a file of a process on another host stays for a day.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        The folder.
+    pattern : str
+        Paths to look at.
 
     Returns
     -------
@@ -88,16 +115,36 @@ def remove_stale_parts(folder: Path) -> list[Path]:
         What was removed.
     """
     removed = []
-    for path in folder.rglob(f".*{_ENDING}"):
+    for path in list(folder.glob(pattern)):
         found = _OURS.search(path.name)
-        if found and _is_stale(path, found["host"], int(found["process"])):
-            path.unlink(missing_ok=True)
+        if found and _is_stale(path, found["host"], int(found["process"]), found["begun"]):
+            if path.is_dir():
+                shutil.rmtree(path, ignore_errors=True)
+            else:
+                path.unlink(missing_ok=True)
             removed.append(path)
     return removed
 
 
-def _is_stale(path: Path, host: str, process: int) -> bool:
-    if host == _host() and not _is_alive(process):
+def _prefix(name: str) -> str:
+    """Return the beginning of the name of a temporary file, with the process that it belongs to."""
+    begun = _begun(os.getpid())
+    return f".{name}.{_host()}~{os.getpid()}{f'-{begun}' if begun else ''}."
+
+
+def _begun(process: int) -> str:
+    """Return when a process began, in ticks since the start of the machine; empty where that is not known.
+
+    Numbers of processes are given again, and clocks are set.
+    """
+    try:
+        return Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()[19]
+    except (OSError, IndexError):
+        return ""
+
+
+def _is_stale(path: Path, host: str, process: int, begun: str | None) -> bool:
+    if host == _host() and not (_is_alive(process) and begun in (None, "", _begun(process))):
         return True
     try:
         return time.time() - path.stat().st_mtime > _DAY

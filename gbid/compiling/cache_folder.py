@@ -7,14 +7,16 @@ which is the rule of ssh for its keys.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import os
-import shutil
 import stat
 import tempfile
 from functools import cache
 from pathlib import Path
 
 from platformdirs import user_cache_path
+
+from gbid.atomic import remove_stale_parts, scratch_folder
 
 _OTHERS_MAY_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
@@ -31,9 +33,11 @@ def cache_folder() -> Path:
 @cache
 def private_folder() -> Path:
     """Return a new folder of this process, which is removed at its end."""
-    folder = tempfile.mkdtemp(prefix="gbid-kernels-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    return Path(folder)
+    with contextlib.suppress(OSError):  # those of processes that were killed
+        remove_stale_parts(Path(tempfile.gettempdir()), ".scratch.*")
+    stack = contextlib.ExitStack()
+    atexit.register(stack.close)
+    return stack.enter_context(scratch_folder(Path(tempfile.gettempdir()) / "kernels"))
 
 
 def why_not_trusted(path: Path) -> str:

@@ -13,6 +13,8 @@ from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
+from gbid.atomic import scratch_folder
+
 _LIMIT_S = 120.0  # a kernel takes 2 to 6 s, several times as much on a busy machine
 
 
@@ -57,7 +59,7 @@ def compile_source(compiler: Compiler, flags: Sequence[str], source: str, librar
     CompilerMissingError
         When the compiler fails, or takes longer than its time limit.
     """
-    _compile(compiler, [*flags, "-x", "c", "-", "-o", str(library)], "the kernel", source)
+    _compile(compiler, [*flags, "-x", "c", "-", "-o", str(library)], library, "the kernel", source)
 
 
 def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
@@ -68,19 +70,23 @@ def compile_shared(source: Path, library: Path, flags: Sequence[str]) -> None:
     CompilerMissingError
         When there is no compiler, or when the compiler fails; the text has its first error.
     """
-    _compile(find_compiler(), [*flags, str(source), "-o", str(library), "-lm"], source.name)
+    _compile(find_compiler(), [*flags, str(source), "-o", str(library), "-lm"], library, source.name)
 
 
-def _compile(compiler: Compiler, arguments: Sequence[str], what: str, given: str = "") -> None:
-    """Run the compiler; its first line that names an error is the reason when it fails."""
-    ended = _run([*compiler.command, *arguments], given)
+def _compile(compiler: Compiler, arguments: Sequence[str], library: Path, what: str, given: str = "") -> None:
+    """Run the compiler; its first line that names an error is the reason when it fails.
+
+    Its temporary files are beside the library: when all is killed, the next build removes them.
+    """
+    with scratch_folder(library) as scratch:
+        ended = _run([*compiler.command, *arguments], given, scratch)
     if ended.returncode != 0:
         said = (ended.stderr.strip() or ended.stdout.strip() or str(ended.returncode)).splitlines()
         first = next((line for line in said if "error" in line), said[0])
         raise CompilerMissingError(f"{compiler.command[0]} failed on {what}: {first}")
 
 
-def _run(command: Sequence[str], given: str = "") -> subprocess.CompletedProcess[str]:
+def _run(command: Sequence[str], given: str = "", scratch: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command with a time limit; all its processes end with it, also after Ctrl-C."""
     try:
         begun = subprocess.Popen(
@@ -91,6 +97,7 @@ def _run(command: Sequence[str], given: str = "") -> subprocess.CompletedProcess
             encoding="utf-8",
             errors="replace",
             start_new_session=True,
+            env=None if scratch is None else {**os.environ, "TMPDIR": str(scratch)},
         )
     except OSError as error:
         raise CompilerMissingError(f"{command[0]} cannot be started: {error.strerror or error}") from None

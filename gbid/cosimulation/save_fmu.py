@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import platform
-import tempfile
 import zipfile
 from hashlib import sha256
 from math import isfinite
@@ -13,7 +12,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from gbid._version import __version__
-from gbid.atomic import atomic_path
+from gbid.atomic import atomic_path, scratch_folder
 from gbid.compiling import CompilerMissingError, compile_shared
 from gbid.control import ControllerDesign
 from gbid.control.controllers.scheduled import Scheduled
@@ -191,8 +190,7 @@ def _platform() -> tuple[str, str]:
 
 def _library(path: Path, sources: dict[str, str]) -> bytes:
     """Return the compiled library."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
+    with scratch_folder(path) as folder:
         for file, text in sources.items():
             (folder / file).write_text(text, encoding="utf-8")
         try:

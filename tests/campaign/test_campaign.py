@@ -475,12 +475,14 @@ def test_two_runners(fresh, capsys):
 
 def test_stale_temporary_files_of_ours_are_removed(tmp_path):
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, text=True)
-    from gbid.atomic import _host
+    from gbid.atomic import _host, _prefix
 
     dead = int(ended.stdout)
     names = {
         f".a.h5.{_host()}~{dead}.x.part": True,
         f".a.h5.{_host()}~{os.getpid()}.x.part": False,
+        f"{_prefix('a.h5')}x.part": False,
+        f".a.h5.{_host()}~{os.getpid()}-1.x.part": True,  # of another process that had this number
         f".a.h5.elsewhere~{dead}.x.part": False,
         ".download.part": False,
         "mine.part": False,

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
 from gbid import hdf5
+from gbid.atomic import scratch_folder
 from gbid.errors import GbidError
 from gbid.experiment.keys import stored_key
 from gbid.experiment.run.inputs import cause_of
@@ -82,8 +82,8 @@ def read_surfaces(job: Job) -> dict[str, LPVFit]:
 def _write_uncertainty(job: Job, item: str, part: Path) -> Made:
     surfaces = Surfaces(job)
     fit = surfaces.make(item.removesuffix(_UNCERTAINTY))
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "model.yaml"
+    with scratch_folder(part) as folder:
+        file = folder / "model.yaml"
         write_model(fit.model, file, comment=f"content_key: {surfaces.key}")
         text = file.read_text(encoding="utf-8")
     with hdf5.writing(part, KIND, overwrite=True) as h5:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from gbid.atomic import scratch_folder
 from gbid.control import (
     GainResult,
     Goal,
@@ -289,8 +289,8 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
         provenance["cap_peak_sensitivity"] = cap
     if result.peak_sensitivity is not None:
         provenance["peak_sensitivity"] = result.peak_sensitivity
-    with tempfile.TemporaryDirectory() as folder:  # save_controller chooses the format by the ending
-        file = Path(folder) / f"{name}.yaml"
+    with scratch_folder(part) as folder:  # save_controller chooses the format by the ending
+        file = folder / "controller.yaml"
         save_controller(
             file,
             structure,
