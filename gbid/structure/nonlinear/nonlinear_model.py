@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.discretise import IntegratorName, check_holds, one_step
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
@@ -22,7 +22,7 @@ from gbid.structure.numeric.linear_model import LinearModel
 
 
 @dataclass(frozen=True, eq=False)
-class NonlinearModel:
+class NonlinearModel(Brief):
     """Nonlinear model ``xd = f(x, u) + K e``, ``y = h(x, u) + e`` with numbers for its parameters.
 
     Attributes
@@ -72,7 +72,7 @@ class NonlinearModel:
             object.__setattr__(self, "working_input", np.zeros(len(self.input_names)))
             object.__setattr__(self, "state_size", np.ones(self.n_states))
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             f"{self.name}, {self.n_states} states, nonlinear",
