@@ -16,7 +16,6 @@ from gbid.errors import UsageError
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
 
-
 _SYMBOLS = (
     "parameters are CasADi symbols: use casadi functions (casadi.sqrt for math.sqrt, casadi.fmax for max, "
     "casadi.if_else for if) and nested lists or casadi.SX.zeros(n, m) for a matrix that is filled entry by entry"

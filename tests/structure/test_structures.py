@@ -246,7 +246,10 @@ def filled_entry_by_entry(p):
         (lambda p: {**arm(p), "A": [[p.b2]]}, "no parameter 'b2'; there are b1, K2"),
         (lambda p: {**arm(p), "A": [[p["b2"]]]}, "KeyError: 'b2'"),
         (lambda p: None, r"matrices\(p\) failed: TypeError"),
-        (lambda p: {**arm(p), "A": [[0, 1], [0, 1 - math.sqrt(p.b1)]]}, r"A\[1, 1\] is nan: .*casadi.sqrt for math.sqrt"),
+        (
+            lambda p: {**arm(p), "A": [[0, 1], [0, 1 - math.sqrt(p.b1)]]},
+            r"A\[1, 1\] is nan: .*casadi.sqrt for math.sqrt",
+        ),
         (lambda p: {**arm(p), "B": [[0], [float(p.K2)]]}, r"B\[1, 0\] is nan: a parameter lost its symbol"),
         (lambda p: {**arm(p), "A": filled_entry_by_entry(p)}, r"A\[1, 1\] is nan: .*casadi.SX.zeros\(n, m\)"),
         (lambda p: {**arm(p), "A": [[0, 1], [0, -max(p.b1, 0)]]}, "truth value .*casadi.fmax for max, casadi.if_else"),
