@@ -26,7 +26,7 @@ _MISSED = 0.01  # significance level of the lack-of-fit test, divided by the num
 
 
 @dataclass(frozen=True, eq=False)
-class Regression:
+class SurfaceRegression:
     """Surfaces through the estimates, k parameters with m terms each.
 
     Attributes
@@ -57,7 +57,7 @@ class Regression:
     notes: tuple[str, ...]
 
 
-def regression(estimates: Estimates, weighting: Weighting, order: Order, robust: bool) -> Regression:
+def regression(estimates: Estimates, weighting: Weighting, order: Order, robust: bool) -> SurfaceRegression:
     """Return the surfaces through estimates; the options are those of `gbid.fit_lpv`.
 
     Raises
@@ -79,7 +79,7 @@ def regression(estimates: Estimates, weighting: Weighting, order: Order, robust:
     with one_blas_thread():  # threads do not speed up small matrices
         solved = _solve(estimates, design, weighting, robust)
     missed = lack_of_fit(estimates.points, estimates.values, exponents, scheduling)
-    return Regression(
+    return SurfaceRegression(
         estimates,
         exponents,
         solved.coefficients @ design.back.T,
