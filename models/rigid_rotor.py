@@ -10,7 +10,8 @@ SUM, DIFFERENCE = np.array([1.0, 1.0]), np.array([1.0, -1.0])
 def matrices(p):
     """Return the matrices for translation s and tilt t in x and y, as displacements at the bearings.
 
-    Bearing 1 moves by s + t, bearing 2 by s - t. The polar inertia couples the tilts of both axes by g [rad/s], which is proportional to the speed.
+    Bearing 1 moves by s + t, bearing 2 by s - t. The polar inertia couples the tilts of both axes by g [rad/s], which
+    is proportional to the speed.
     """
     zero, one = np.zeros((4, 4)), np.eye(4)
     stiffness = np.diag([p.k_s, p.k_t, p.k_s, p.k_t])  # s_x, t_x, s_y, t_y
