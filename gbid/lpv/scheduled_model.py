@@ -10,14 +10,14 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import ExtrapolationWarning, UsageError
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
 
 
 @dataclass(frozen=True)
-class ScheduledModel:
+class ScheduledModel(Brief):
     """Linear parameter-varying model of any structure.
 
     Parameters
@@ -68,7 +68,7 @@ class ScheduledModel:
         for key in ("coefficients", "domain", "held"):
             object.__setattr__(self, key, dict(getattr(self, key)))
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         ranges = [f"{name} {low:g} to {high:g}" for name, (low, high) in self.domain.items()]
         return brief(
             self,

@@ -13,6 +13,7 @@ from typing import Literal
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
@@ -26,7 +27,7 @@ _MISSED = 0.01  # significance level of the lack-of-fit test, divided by the num
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceRegression:
+class SurfaceRegression(Brief):
     """Surfaces through the estimates, k parameters with m terms each.
 
     Attributes

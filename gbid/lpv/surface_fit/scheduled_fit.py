@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from gbid.arrays import FloatArray
-from gbid.brief import brief
+from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.identify.result import FitResult
 from gbid.lpv.scheduled_model import ScheduledModel
@@ -23,7 +23,7 @@ from gbid.structure.linear import Structure
 
 
 @dataclass(frozen=True, eq=False)
-class ScheduledFit:
+class ScheduledFit(Brief):
     """Surfaces of any structure, their uncertainty, and the estimates to which they were fitted.
 
     k parameters with m terms each.
@@ -60,7 +60,7 @@ class ScheduledFit:
     options: Mapping[str, str]
     notes: tuple[str, ...] = ()
 
-    def __repr__(self) -> str:
+    def _brief(self) -> Description:
         return brief(
             self,
             self.model.name,
