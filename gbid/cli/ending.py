@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import typer
 
+from gbid.cli.causes import causes_in_words
 from gbid.cli.telling import tell
 from gbid.errors import DataError, GbidError, NotConvergedError, ThresholdError, UsageError
 from gbid.experiment.run.outcome import Outcome
 
 _MISSED = 20  # largest number of pairs below the minimum that are listed
-_IDLE = 20  # largest number of items without input that are listed
+_CODES = {"defect": GbidError.exit_code, "usage": UsageError.exit_code}
 
 
 def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
@@ -34,7 +34,9 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
 
 
 def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = ()) -> None:
-    """List failed items on standard error and end with the exit code: the lowest that applies, or 0.
+    """Say on standard error what failed, and end with the exit code: the lowest that applies, or 0.
+
+    The last line is the first cause. Results whose inputs failed in this run have no lines of their own.
 
     Parameters
     ----------
@@ -46,14 +48,7 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
     missed = [row for row in validated if row["missed"]]
-    idle = [o for o in failed if o.cause == "input"]
-    if len(idle) > _IDLE:
-        for stage, count in Counter(o.stage for o in idle).items():
-            tell(f"gbid: error: {stage}: the input of {count} items is missing; see the failures")
-    for o in failed if len(idle) <= _IDLE else [o for o in failed if o.cause != "input"]:
-        word = "defect" if o.cause == "defect" else "error"
-        again = " (failed in an earlier run; use --retry to try again)" if o.before else ""
-        tell(f"gbid: {word}: {o.stage} {o.item}: {o.text}{again}")
+    code = _exit_code(failed, stuck, missed)
     for o in stuck:
         tell(f"gbid: error: {o.stage} {o.item}: {o.text} (written to {o.path})")
     for row in sorted(missed, key=lambda row: row["fit_percent"])[:_MISSED]:
@@ -64,10 +59,13 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
         )
     if len(missed) > _MISSED:
         tell(f"gbid: error: crossval: {len(missed)} pairs below the minimum; the worst are listed")
-    causes = {o.cause for o in failed}
-    for cause, code in (("defect", GbidError.exit_code), ("usage", UsageError.exit_code)):
-        if cause in causes:
-            raise typer.Exit(code)
-    for found, error in ((failed, DataError), (stuck, NotConvergedError), (missed, ThresholdError)):
-        if found:
-            raise typer.Exit(error.exit_code)
+    for line in causes_in_words(failed, code, _CODES):
+        tell(f"gbid: {line}")
+    if code:
+        raise typer.Exit(code)
+
+
+def _exit_code(failed: Sequence[Outcome], stuck: Sequence[Outcome], missed: Sequence[Mapping[str, Any]]) -> int:
+    found = [_CODES.get(o.cause, DataError.exit_code) for o in failed]
+    found += [NotConvergedError.exit_code] * bool(stuck) + [ThresholdError.exit_code] * bool(missed)
+    return min(found, default=0)

@@ -74,6 +74,13 @@ class Tally:
         parts += [f"{self.before} failed already"] if self.before else []
         return f"{self.stage}: {', '.join(parts)}"
 
+    def pace(self) -> str:
+        """Return the rate and the time left as text; empty before the first item is done."""
+        passed = time.monotonic() - self._began
+        if not 0 < self.done < self.todo or passed <= 0:
+            return ""
+        return f"{_rate(self.done / passed)}, {_duration(passed / self.done * (self.todo - self.done))} left"
+
     def text(self) -> str:
         """Return the state of the stage as text."""
         parts = [f"{self.stage}: {self.done} of {self.todo} done"]
@@ -81,12 +88,16 @@ class Tally:
         parts += [f"{self.failed} failed"] if self.failed else []
         parts += [f"{self.stuck} not converged"] if self.stuck else []
         if 0 < self.done < self.todo:
-            parts.append(f"{_duration((time.monotonic() - self._began) / self.done * (self.todo - self.done))} left")
+            parts.append(self.pace())
         if self.done == self.todo:
             parts.append(_duration(time.monotonic() - self._began))
         if math.isfinite(self.worst):
             parts.append(f"worst fit {self.worst:.1f} % ({self.worst_item})")
         return ", ".join(parts)
+
+
+def _rate(per_second: float) -> str:
+    return f"{per_second:.2g}/s" if per_second >= 1 else f"{60 * per_second:.2g}/min"
 
 
 def _duration(seconds: float) -> str:

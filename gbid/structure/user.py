@@ -6,11 +6,10 @@ import importlib.util
 from pathlib import Path
 
 from gbid.errors import UsageError
-from gbid.structure.any_structure import AnyStructure, anatomy
-from gbid.structure.linear import in_one_line
+from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
 
 
-def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
+def load_structure(reference: str, folder: Path | None = None) -> Structure:
     """Return the structure named as ``file.py:name``.
 
     Parameters
@@ -23,12 +22,12 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     Returns
     -------
     Structure
-        The structure, after a check of the sizes of its equations.
+        The structure, after a check of the shapes of its matrices.
 
     Raises
     ------
     UsageError
-        When the file is missing, when its import fails, when it has no such name, or when its equations do not fit.
+        When the file is missing, when its import fails, when it has no such name, or when the matrices do not fit.
     """
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
@@ -47,17 +46,15 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
     structure = getattr(module, name)
-    if not isinstance(structure, AnyStructure) and callable(structure):
+    if not isinstance(structure, Structure) and callable(structure):
         try:
             structure = structure()
         except Exception as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
-    if not isinstance(structure, AnyStructure):
-        raise UsageError(
-            f"{path}: {name} is not a structure; make it a gbid.LinearStructure or gbid.NonlinearStructure"
-        )
+    if not isinstance(structure, Structure):
+        raise UsageError(f"{path}: {name} is not a structure; make it a gbid.LinearStructure")
     try:
-        anatomy(structure)
+        symbolic_matrices(structure)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     return structure

@@ -16,6 +16,7 @@ from ruamel.yaml import YAML
 from scipy.io import loadmat
 
 import gbid
+from gbid.cli.live import LiveLine
 from gbid.cli.progress import PlainReporter, TerminalReporter
 from gbid.errors import DataError
 from gbid.experiment.run.outcome import Outcome
@@ -170,8 +171,8 @@ def test_figures_draw_names_as_they_are(plain, tmp_path):
 
 def test_progress_shows_names_as_they_are(capsys):
     console = Console(file=io.StringIO(), force_terminal=True, width=100)
-    with console.status("") as status:
-        for reporter in (PlainReporter(), TerminalReporter(console, status)):
+    with LiveLine(console) as live:
+        for reporter in (PlainReporter(), TerminalReporter(live)):
             for name in AWFUL:
                 reporter.expect("fit", 1, 0, 0)
                 reporter.begin("fit", name)

@@ -163,7 +163,7 @@ def produce(job: Job, stage: str, item: str, path: Path, key: str, write: Callab
     except NoSpaceError:
         raise
     except DataError as error:
-        outcome = Outcome(stage, item, path, "failed", str(error), cause="data")
+        outcome = Outcome(stage, item, path, "failed", str(error), cause=cause_of(error))
     job.reporter.end(outcome)
     return outcome
 

@@ -8,18 +8,17 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.identify.disturbances.disturbances import Disturbances
-from gbid.structure import LinearModel, NonlinearModel
-from gbid.structure.nonlinear.nonlinear_model import with_integrators
+from gbid.structure import LinearModel
 
 
 def with_walking_offsets(
-    model: LinearModel | NonlinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
-) -> LinearModel | NonlinearModel:
+    model: LinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
+) -> LinearModel:
     """Return a model with one more state for each output whose offset is a random walk.
 
     Parameters
     ----------
-    model : LinearModel or NonlinearModel
+    model : LinearModel
         Fitted model in continuous time.
     disturbances : Disturbances
         Disturbances of the fit.
@@ -28,15 +27,12 @@ def with_walking_offsets(
 
     Returns
     -------
-    LinearModel or NonlinearModel
+    LinearModel
         Its last states are the offsets. Without random walks it is the model itself.
     """
     walking = list(disturbances.walking)
     if not walking:
         return model
-    if isinstance(model, NonlinearModel):
-        gains = [parameters[disturbances.gain_name(output)] for output in walking]
-        return with_integrators(model, walking, gains)
     n, (n_y, n_u), added = model.n_states, model.D.shape, len(walking)
     A, C, K = np.zeros((n + added,) * 2), np.zeros((n_y, n + added)), np.zeros((n + added, n_y))
     A[:n, :n], C[:, :n] = model.A, model.C

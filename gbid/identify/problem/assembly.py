@@ -14,14 +14,12 @@ from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES
 from gbid.identify.kernel.engine import EngineName, RunEngine
-from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nlp.record_group import RecordGroup
-from gbid.identify.predictor import Focus
-from gbid.identify.problem.either_kind import any_predictor
+from gbid.identify.predictor import Focus, Predictor, build_predictor
 from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
 from gbid.identify.problem.ties import Ties, tie_of
 from gbid.operating_point import point_label
-from gbid.structure import AnyStructure, Parameter
+from gbid.structure import Parameter, Structure
 
 Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
@@ -77,7 +75,7 @@ class Assembly:
 
 
 def assemble(
-    structure: AnyStructure,
+    structure: Structure,
     parameters: tuple[Parameter, ...],
     begin: Mapping[str, float],
     data: FitData,
@@ -107,11 +105,10 @@ def assemble(
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
 
     @cache
-    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> GeneralPredictor:
-        built = any_predictor(
+    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> Predictor:
+        built = build_predictor(
             structure,
             held,
-            begin,
             data.sample_time,
             intersample,
             kind,
@@ -169,7 +166,7 @@ def assemble(
     )
 
 
-def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, data: FitData) -> None:
+def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -> None:
     n_inputs, n_outputs = len(data.input_names), len(data.output_names)
     if (predictor.n_inputs, predictor.n_outputs) != (n_inputs, n_outputs):
         raise UsageError(
@@ -206,7 +203,7 @@ def group_name(record: Record, scope: Scope) -> str:
 
 
 def _full_names(
-    predictor: GeneralPredictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
+    predictor: Predictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
 ) -> dict[str, str]:
     names = {}
     for q in predictor.free:

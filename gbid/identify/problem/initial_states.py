@@ -6,12 +6,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+import casadi as ca
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.nlp.shooting import Shooting
-from gbid.structure import AnyStructure, Parameter, anatomy
+from gbid.structure import Parameter, Structure, symbolic_matrices
 
 OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
 InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
@@ -48,7 +49,7 @@ class InitialStates:
 
 
 def initial_states(
-    structure: AnyStructure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
+    structure: Structure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
 ) -> InitialStates:
     """Return the initial states that a caller asked for.
 
@@ -70,8 +71,8 @@ def initial_states(
     DataError
         When a free parameter acts only through initial states that are given otherwise.
     """
-    own_parts = anatomy(structure)
-    n, stated = own_parts.n_states, bool(own_parts.in_x0)
+    _, m = symbolic_matrices(structure)
+    n, stated = m.A.shape[0], m.x0.numel() > 0
     if isinstance(asked, str) and asked == "auto":
         asked = "structure" if stated else "estimated"
     own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
@@ -83,11 +84,10 @@ def initial_states(
     values = np.array([[np.nan if isinstance(e, str) else e for e in row] for row in rows], float).reshape(-1, n)
     if released.any() and not stated:
         raise UsageError(
-            f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p), or "
-            "x0=... to a nonlinear structure"
+            f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p)"
         )
-    lit = [own_parts.in_x0[i] for i in np.flatnonzero(released.any(axis=0))]
-    dark = frozenset().union(*own_parts.in_x0) - own_parts.in_equations.union(*lit)
+    seen = ca.veccat(*m[:-1], m.x0[np.flatnonzero(released.any(axis=0)).tolist()] if stated else m.x0)
+    dark = {symbol.name() for symbol in ca.symvar(m.x0)} - {symbol.name() for symbol in ca.symvar(seen)}
     lost = [q.name for q in parameters if not q.fixed and q.name in dark]
     if lost:
         raise DataError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +12,6 @@ from gbid.arrays import FloatArray
 from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
-from gbid.lpv.basis import SCHEDULING
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
 
 
@@ -40,19 +38,15 @@ class OrderScore(Brief):
     why_not: str = ""
 
 
-def compare_orders(
-    points: FloatArray, values: FloatArray, scheduling: Sequence[str] = SCHEDULING
-) -> tuple[OrderScore, ...]:
+def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, ...]:
     """Return the scores of the orders 0 to 3, by leave-one-operating-point-out cross-validation.
 
     Parameters
     ----------
-    points : (n, n_variables) array
-        Operating points.
+    points : (n, 2) array
+        Pressure [bar] and speed [rpm].
     values : (n, k) array
-        Estimates.
-    scheduling : sequence of str
-        Names of the scheduling variables, for messages.
+        Estimates, SI per kg.
 
     Returns
     -------
@@ -62,7 +56,7 @@ def compare_orders(
     lowest = np.nan
     for order in range(HIGHEST_ORDER + 1):
         try:
-            rms = _left_out(points, values, exponents_of(order, points.shape[1]), scheduling)
+            rms = _left_out(points, values, exponents_of(order))
         except DataError as error:
             scores.append(OrderScore(order, np.full(values.shape[1], np.nan), np.nan, str(error)))
             continue
@@ -86,9 +80,7 @@ def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
     return min(possible, key=lambda s: s.score).order
 
 
-def lack_of_fit(
-    points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING
-) -> FloatArray:
+def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
     """Return the p-value of the lack-of-fit test of the surfaces, (k,).
 
     This is the classical F test: the deviation of the means of the operating points from the surface is compared with
@@ -101,7 +93,7 @@ def lack_of_fit(
         return np.full(values.shape[1], np.nan)
     counts = np.bincount(group)[:, None]
     means = np.stack([np.bincount(group, column) for column in values.T], axis=-1) / counts
-    Q = orthonormal(points, exponents, scheduling).columns
+    Q = orthonormal(points, exponents).columns
     surface = Q @ np.linalg.lstsq(Q, values, rcond=None)[0]
     pure = ((values - means[group]) ** 2).sum(axis=0) / (n - n_points)
     missed = ((means[group] - surface) ** 2).sum(axis=0) / (n_points - len(exponents))
@@ -109,15 +101,15 @@ def lack_of_fit(
     return np.asarray(fdtrc(n_points - len(exponents), n - n_points, ratio))
 
 
-def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> FloatArray:
+def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.ravel()
-    check_points(points, exponents, scheduling)
-    columns = orthonormal(points, exponents, scheduling).columns
+    check_points(points, exponents)
+    columns = orthonormal(points, exponents).columns
     errors = np.empty_like(values)
     for i in range(len(distinct)):
         out = group == i
-        check_points(points[~out], exponents, scheduling)
+        check_points(points[~out], exponents)
         found = np.linalg.lstsq(columns[~out], values[~out], rcond=None)[0]
         errors[out] = values[out] - columns[out] @ found
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))

@@ -42,7 +42,9 @@ def draw_figures(job: Job) -> list[Outcome]:
         try:
             sources = pair_keys(job, fit, model, recording)
         except (DataError, OSError) as error:
-            outcomes.append(Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error)))
+            outcomes.append(
+                Outcome("figure", name, job.path(FOLDER, name, ".png"), "failed", str(error), cause="input")
+            )
             job.reporter.end(outcomes[-1])
             continue
         section = job.experiment.spec.figures[fit]

@@ -9,7 +9,7 @@ from gbid.errors import DataError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.failures import Failure, remember_failure, remembered_failure
 from gbid.experiment.run.job import Job, Task
-from gbid.experiment.run.outcome import Outcome
+from gbid.experiment.run.outcome import Cause, Outcome
 from gbid.experiment.run.stage import Stage, Work
 from gbid.experiment.stages.crossval.checks import crossval_has_partners
 from gbid.experiment.stages.crossval.pairs import FitPairs, Pair
@@ -27,7 +27,7 @@ def crossval_tasks(job: Job) -> Work:
     work: list[Task | Outcome] = []
     for name in job.experiment.spec.crossval:
         pairs, path = FitPairs(job, name), _path(job, name)
-        work += [_failed(job, name, pair, text) for pair, text in pairs.missing.items()]
+        work += [_failed(job, name, pair, text, "input") for pair, text in pairs.missing.items()]
         if pairs.there:
             work.append(Task("crossval", name, path, pairs.key, _write_table))
     return work
@@ -65,9 +65,9 @@ def _item(job: Job, name: str, pair: Pair, key: str = "") -> Task:
     return Task("crossval", f"{name}/{model} on {recording}", _path(job, name), key, _write_table)
 
 
-def _failed(job: Job, name: str, pair: Pair, text: str) -> Outcome:
+def _failed(job: Job, name: str, pair: Pair, text: str, cause: Cause) -> Outcome:
     item = _item(job, name, pair)
-    return Outcome(item.stage, item.item, item.path, "failed", text, cause="data")
+    return Outcome(item.stage, item.item, item.path, "failed", text, cause=cause)
 
 
 def _write_table(job: Job, name: str, part: Path) -> None:
@@ -103,7 +103,7 @@ def _summary_work(job: Job, made: Sequence[Outcome]) -> Work:
             continue
         pairs = FitPairs(job, name)
         failed = _failed_pairs(job, name, pairs, read_rows(job, name, outcome.path))
-        work += [_failed(job, name, pair, text) for pair, text in failed.items()]
+        work += [_failed(job, name, pair, text, "data") for pair, text in failed.items()]
         key = _summary_key(_texts({**pairs.missing, **failed}), pairs.key)
         for ending, write in ((".h5", _write_summary), (".csv", _write_summary_csv)):
             path = job.path(FOLDER, f"{name}{SUMMARY}", ending)

@@ -26,7 +26,7 @@ def nominal_tasks(job: Job) -> Work:
     try:
         _, key = nominal_of(job)
     except DataError as error:
-        return [Outcome("nominal", section.fit, path, "failed", str(error), cause="data")]
+        return [Outcome("nominal", section.fit, path, "failed", str(error), cause="input")]
     return [Task("nominal", section.fit, path, key, _write)]
 
 

@@ -1,0 +1,390 @@
+"""Kill gbid at random instants and run the same command again: what is lost, made twice, or left over.
+
+``python -m benchmarks.kills [--kills N] [--minutes M] [--seed S] [--output FILE]``
+
+The verbs are `run`, `batch` (with a pool of two workers), `tune`, `report` and `figures`. A campaign is one verb on a
+fresh copy of what it needs: it is killed, checked and started again until it ends by itself. The instant of a kill is
+drawn uniformly from the time that the verb takes undisturbed, so that it may fall into anything. Most signals are
+SIGKILL; the others are SIGTERM, SIGINT and SIGHUP. With `batch` every third victim is a worker.
+
+Each command is a fork of this process, which has done the same work before: otherwise most kills would hit imports.
+
+After each kill:
+
+- orphans: processes of the command that are there after two seconds.
+
+At the end of each campaign:
+
+- lost: results that were complete at a kill and are gone, and results that differ from those of an undisturbed run.
+- twice: results that were complete at a kill, with the content key that they have at the end, and were written again.
+- left: temporary files and locks.
+
+In every other campaign the clock goes backwards: the times of the files are set years back or ahead after a kill, and
+the command that follows is told a time that runs backwards.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import random
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+VERBS = {"run": 0.3, "batch": 0.06, "tune": 0.24, "report": 0.2, "figures": 0.2}
+"""Share of the kills of each verb; `batch` has fewer, because its workers import everything anew."""
+_MARK = "GBID_KILL_STUDY"
+_PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
+_LONGEST = 300.0  # time after which a command counts as hanging [s]
+_SIGNALS = (signal.SIGKILL,) * 7 + (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+_YEARS = 10 * 365.25 * 86400
+
+_IMPORTED = """\
+    - name: run{i}
+      file: run{i}.csv
+      time: time
+      time_unit: ms
+      conditions: {{pressure_bar: {bar}, speed_rpm: 0}}
+      signals: {{u: {{columns: drive, stored_unit: V}}, y: {{columns: position, stored_unit: um}}}}
+"""
+_REST = """\
+fits:
+  spring: {{structure: "spring.py:structure", focus: simulation}}
+crossval:
+  spring: {{on: cyclic}}
+{more}"""
+_CONTROLLER = """\
+controller:
+  small: {structure: P, model: theisen2016, operating_points: [{pressure_bar: 6.0, speed_rpm: 0.0}], starts: 2}
+figures:
+  spring: {from_s: 0.1, to_s: 0.2}
+"""
+_STRUCTURE = """\
+import gbid
+
+
+def matrices(p):
+    return {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
+
+
+parameters = [gbid.Parameter("k", 6e4), gbid.Parameter("d", 20.0), gbid.Parameter("b", 1e6)]
+structure = gbid.LinearStructure("spring", parameters, matrices)
+"""
+
+
+@dataclass
+class Tally:
+    """What happened to one verb."""
+
+    kills: int = 0
+    campaigns: int = 0
+    clocks: int = 0
+    lost: int = 0
+    twice: int = 0
+    orphans: int = 0
+    left: int = 0
+    failed: int = 0
+    longest_end_s: float = 0.0
+    signals: Counter[str] = field(default_factory=Counter)
+    faults: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A verb with its folder to start from, its arguments, the undisturbed results and their time."""
+
+    verb: str
+    template: Path
+    arguments: tuple[str, ...]
+    expected: dict[str, str]
+    seconds: float
+
+
+def write_experiment(folder: Path, count: int, more: str) -> Path:
+    """Write an experiment on files of a mass on a spring, one second or less each."""
+    from gbid.cli.templates import write_example_data
+
+    (folder / "data").mkdir(parents=True)
+    for i in range(1, count + 1):
+        write_example_data(folder / "data" / f"run{i}.csv", seed=i, n_samples=1000)
+    entries = "".join(_IMPORTED.format(i=i, bar=5) for i in range(1, count + 1))
+    (folder / "spring.py").write_text(_STRUCTURE)
+    text = f"format: 1\nname: killed\nimport:\n  data_folder: data\n  recordings:\n{entries}"
+    path = folder / "experiment.yaml"
+    path.write_text(text + _REST.format(more=more))
+    return path
+
+
+def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = False) -> int:
+    """Return the process id of a command line, as a fork of this process in a session of its own."""
+    process = os.fork()
+    if process:
+        return process
+    code = 70
+    try:
+        os.setsid()
+        handle = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(handle, 1)
+        os.dup2(handle, 2)
+        sys.stdout, sys.stderr = (os.fdopen(os.dup(number), "w") for number in (1, 2))
+        os.environ[_MARK] = mark
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        if backwards:
+            now, began = time.time() - _YEARS, time.monotonic()
+            time.time = lambda: now - 100 * (time.monotonic() - began)  # type: ignore[assignment]
+        from gbid.cli.main import app
+
+        app(list(arguments), prog_name="gbid")
+    except SystemExit as end:
+        code = int(end.code or 0)
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        with contextlib.suppress(OSError, ValueError):
+            sys.stdout.flush()
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def processes_of(mark: str) -> list[int]:
+    """Return the processes that a marked command has started, itself left out."""
+    found = []
+    wanted = f"{_MARK}={mark}".encode()
+    for entry in Path("/proc").iterdir():
+        if entry.name.isdigit():
+            with contextlib.suppress(OSError):
+                if wanted in (entry / "environ").read_bytes().split(b"\0"):
+                    found.append(int(entry.name))
+    return found
+
+
+def ended(process: int, seconds: float) -> int | None:
+    """Wait for a process; return its status, None when it is still there."""
+    deadline = time.monotonic() + seconds
+    while True:
+        there, status = os.waitpid(process, os.WNOHANG)
+        if there:
+            return status
+        if time.monotonic() > deadline:
+            return None
+        time.sleep(0.002)
+
+
+def complete(results: Path) -> dict[str, tuple[str, int, int]]:
+    """Return content key, inode and time of each result that is there."""
+    from gbid.experiment.keys import stored_key
+
+    found = {}
+    for path in results.rglob("*"):
+        if path.is_file() and not path.name.startswith("."):
+            stat = path.stat()
+            found[str(path.relative_to(results))] = (stored_key(path), stat.st_ino, stat.st_mtime_ns)
+    return found
+
+
+def left_over(folder: Path) -> list[str]:
+    """Return temporary files and folders, and locks."""
+    return [path.name for path in folder.rglob(".*")]
+
+
+def make_cases(folder: Path, kernels: Path) -> list[Case]:
+    """Return the cases after an undisturbed run of each; `tune`, `report` and `figures` start from made results."""
+    small, many = folder / "small", folder / "many"
+    write_experiment(small, 2, _CONTROLLER)
+    write_experiment(many, 10, "")
+    cases = []
+    before = {"tune": ("import", "fit", "crossval"), "report": ("run",), "figures": ("run",)}
+    for verb in VERBS:
+        template = folder / verb
+        shutil.copytree(many if verb == "batch" else small, template)
+        for earlier in before.get(verb, ()):
+            _here((earlier, str(template / "experiment.yaml"), "--engine", "serial"))
+        if verb == "report":
+            (template / "results/killed/report.html").unlink()
+        more = {"run": ("--engine", "serial"), "tune": ("--engine", "serial")}
+        arguments = ("--engine", "pool", "--workers", "2") if verb == "batch" else more.get(verb, ())
+        done = folder / f"{verb}_done"
+        shutil.copytree(template, done)
+        if verb != "batch":
+            warm = folder / f"{verb}_warm"
+            shutil.copytree(template, warm)
+            _here((verb, str(warm / "experiment.yaml"), *arguments))
+        seconds = _undisturbed((verb, str(done / "experiment.yaml"), *arguments), folder)
+        expected = {name: key for name, (key, _, _) in complete(done / "results/killed").items()}
+        cases.append(Case(verb, template, arguments, expected, seconds))
+        print(f"{verb}: {len(expected)} results, {seconds:.2f} s", flush=True)
+    assert kernels.is_dir()
+    return cases
+
+
+def _here(arguments: tuple[str, ...]) -> None:
+    """Run a command in this process, so that its forks have all that it loads."""
+    from gbid.cli.main import app
+
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as told:
+            app(list(arguments), prog_name="gbid")
+    except SystemExit as end:
+        if end.code:
+            raise SystemExit(f"gbid {' '.join(arguments)}: {told.getvalue()}") from None
+
+
+def _undisturbed(arguments: tuple[str, ...], folder: Path) -> float:
+    began = time.monotonic()
+    status = ended(begin(arguments, folder / "log.txt", "undisturbed"), _LONGEST)
+    if status != 0:
+        raise SystemExit(f"gbid {' '.join(arguments)}: status {status}\n{(folder / 'log.txt').read_text()}")
+    return time.monotonic() - began
+
+
+def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most: int) -> None:
+    """Run one campaign: kill and start again until the command ends by itself, or `most` kills are done."""
+    shutil.copytree(case.template, folder)
+    results, log = folder / "results/killed", folder / "log.txt"
+    arguments = (case.verb, str(folder / "experiment.yaml"), *case.arguments)
+    clock = tally.campaigns % 2 == 1
+    tally.campaigns += 1
+    tally.clocks += clock
+    seen: dict[str, tuple[str, int, int]] = {}
+    for attempt in range(1000):
+        mark = f"{os.getpid()}-{folder.name}-{attempt}"
+        process = begin(arguments, log, mark, backwards=clock and attempt > 0)
+        by_worker = case.verb == "batch" and attempt % 3 == 2
+        allowed = tally.kills < most
+        status = ended(process, chance.uniform(0.0, case.seconds) if allowed else _LONGEST)
+        number = chance.choice(_SIGNALS)
+        if status is None and allowed:
+            workers = [p for p in processes_of(mark) if p != process and _is_worker(p)] if by_worker else []
+            victim = chance.choice(workers) if workers else process
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(victim, signal.SIGKILL if workers else number)
+                tally.kills += 1
+                tally.signals["SIGKILL of a worker" if workers else number.name] += 1
+            status = ended(process, _LONGEST if workers else 30.0)
+        if status is None:
+            os.kill(process, signal.SIGKILL)
+            ended(process, 30.0)
+            tally.failed += 1
+            tally.faults.append(f"{folder.name}: hangs after {number.name}: {log.read_text()[-300:]}")
+        _check_orphans(mark, tally, folder)
+        now = complete(results)
+        for name, entry in seen.items():
+            if name not in now:
+                tally.lost += 1
+                tally.faults.append(f"{folder.name}: {name} is gone")
+            elif now[name][0] == entry[0] and now[name][1:] != entry[1:]:
+                tally.twice += 1
+                tally.faults.append(f"{folder.name}: {name} was made twice")
+        if status == 0:
+            break
+        code = os.waitstatus_to_exitcode(status or 0)
+        if code not in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP, -signal.SIGINT, 130):
+            tally.failed += 1
+            tally.faults.append(f"{folder.name}: ends with {code}: {log.read_text()[-300:]}")
+            if code == 2:
+                return
+        if clock:
+            for name in now:
+                with contextlib.suppress(FileNotFoundError):
+                    when = time.time() + chance.choice((-1, 1)) * _YEARS
+                    os.utime(results / name, (when, when))
+            now = complete(results)
+        seen = now
+    keys = {name: key for name, (key, _, _) in complete(results).items()}
+    for name in sorted({*keys, *case.expected}):
+        if keys.get(name) != case.expected.get(name):
+            tally.lost += 1
+            tally.faults.append(f"{folder.name}: {name} differs from the undisturbed run")
+    left = left_over(folder)
+    tally.left += len(left)
+    tally.faults += [f"{folder.name}: left over {name}" for name in left]
+    shutil.rmtree(folder)
+
+
+def _is_worker(process: int) -> bool:
+    try:
+        return b"spawn_main" in Path(f"/proc/{process}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def _check_orphans(mark: str, tally: Tally, folder: Path) -> None:
+    began = time.monotonic()
+    while there := processes_of(mark):
+        waited = time.monotonic() - began
+        if waited > _PATIENCE:
+            tally.orphans += len(there)
+            tally.faults.append(f"{folder.name}: {len(there)} processes outlive their runner")
+            for process in there:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(process, signal.SIGKILL)
+            return
+        tally.longest_end_s = max(tally.longest_end_s, waited)
+        time.sleep(0.01)
+
+
+def study(kills: int, minutes: float, seed: int) -> dict[str, Any]:
+    """Return the figures of a study: for each verb the counts, and the faults in words."""
+    chance = random.Random(seed)
+    with tempfile.TemporaryDirectory(prefix="gbid-kills-") as name:
+        folder = Path(name)
+        kernels = folder / "kernels"
+        kernels.mkdir(mode=0o700)
+        os.environ["GBID_CACHE_DIR"] = str(kernels)
+        cases = make_cases(folder, kernels)
+        tallies = {case.verb: Tally() for case in cases}
+        deadline = time.monotonic() + 60 * minutes
+        number, most = 0, {verb: round(share * kills) for verb, share in VERBS.items()}
+        while time.monotonic() < deadline and any(tallies[verb].kills < most[verb] for verb in VERBS):
+            for case in sorted(cases, key=lambda case: tallies[case.verb].kills / VERBS[case.verb])[:2]:
+                number += 1
+                campaign(case, folder / f"{case.verb}{number}", chance, tallies[case.verb], most[case.verb])
+            done = sum(tally.kills for tally in tallies.values())
+            faults = [fault for tally in tallies.values() for fault in tally.faults]
+            print(f"{done} kills, {len(faults)} faults {faults[-2:]}", flush=True)
+        stale = left_over(kernels)
+    totals = ("kills", "campaigns", "clocks", "lost", "twice", "orphans", "left", "failed")
+    return {
+        "seed": seed,
+        "asked": kills,
+        **{word: sum(getattr(tally, word) for tally in tallies.values()) for word in totals},
+        "longest_end_s": round(max(tally.longest_end_s for tally in tallies.values()), 2),
+        "left_in_cache": stale,
+        "signals": dict(sum((tally.signals for tally in tallies.values()), Counter())),
+        "verbs": {
+            verb: {word: getattr(tally, word) for word in totals} | {"faults": tally.faults}
+            for verb, tally in tallies.items()
+        },
+    }
+
+
+def main() -> None:
+    """Run the study and write its figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--kills", type=int, default=1000)
+    parser.add_argument("--minutes", type=float, default=240.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--output", type=Path)
+    given = parser.parse_args()
+    found = study(given.kills, given.minutes, given.seed)
+    text = json.dumps(found, indent=1)
+    print(text)
+    if given.output is not None:
+        given.output.write_text(text + "\n", encoding="utf-8")
+    raise SystemExit(bool(found["lost"] or found["twice"] or found["orphans"] or found["left"] or found["failed"]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,80 @@
+"""One cause, one line: what could not be made because of it is counted, and the last line is the cause."""
+
+from pathlib import Path
+
+import pytest
+import typer
+
+from gbid.cli.ending import finish
+from gbid.cli.progress import PlainReporter
+from gbid.experiment.run.outcome import Outcome
+
+
+def failed(stage, item, text, cause="data", before=False):
+    return Outcome(stage, item, Path(f"{item}.h5"), "failed", text, cause=cause, before=before)
+
+
+IMPORTS = [failed("import", f"run{i}", f"run{i}.csv: bad; repair it") for i in range(1, 7)]
+FITS = [failed("fit", f"spring/run{i}", "its input is missing", "input") for i in range(1, 7)]
+PAIRS = [failed("crossval", f"spring/run{i} on run1", "file is missing", "input") for i in range(2, 7)]
+TABLE = Outcome("table", "table.h5", Path("table.h5"), "made")
+
+
+def end_of(outcomes, capsys):
+    """Lines and exit code at the end of a verb."""
+    code = 0
+    try:
+        finish(outcomes)
+    except typer.Exit as end:
+        code = end.exit_code
+    return capsys.readouterr().err.splitlines(), code
+
+
+def test_the_last_line_is_the_first_cause(capsys):
+    lines, code = end_of([*IMPORTS, *FITS, TABLE, *PAIRS], capsys)
+    assert code == 3
+    assert lines[-1] == "gbid: error: import run1: run1.csv: bad; repair it"
+    assert len(lines) == 6
+
+
+@pytest.mark.parametrize(
+    ("cause", "word", "code"), [("usage", "error", 2), ("defect", "defect", 1), ("crash", "error", 3)]
+)
+def test_the_exit_code_is_that_of_the_last_line(cause, word, code, capsys):
+    lines, found = end_of(
+        [IMPORTS[0], *FITS, failed("fit", "x", "why", cause), failed("fit", "y", "so", cause)], capsys
+    )
+    assert found == code
+    assert lines[-1] == (
+        f"gbid: {word}: fit x: why" if code < 3 else "gbid: error: import run1: run1.csv: bad; repair it"
+    )
+
+
+def test_many_causes_are_counted(capsys):
+    lines, _ = end_of([failed("import", f"run{i}", "bad", before=i == 1) for i in range(1, 101)], capsys)
+    assert len(lines) == 12
+    assert lines[-2] == "gbid: error: 89 more failed; `--json` lists all"
+    assert lines[-1] == "gbid: error: import run1: bad (failed in an earlier run; use --retry to try again)"
+
+
+def test_inputs_that_were_missing_before_have_a_line_for_each_stage(capsys):
+    lines, code = end_of([*FITS, *PAIRS], capsys)
+    assert code == 3
+    assert lines == [
+        "gbid: error: crossval: 5 results not made: file is missing",
+        "gbid: error: fit: 6 models not made: its input is missing",
+    ]
+
+
+def test_progress_counts_what_could_not_be_made_once_for_each_stage(capsys):
+    reporter = PlainReporter()
+    for stage, outcomes in (("import", IMPORTS), ("fit", FITS), ("table", [TABLE]), ("crossval", PAIRS)):
+        reporter.expect(stage, 0, 0, 0)
+        for outcome in outcomes:
+            reporter.end(outcome)
+    reporter.close()
+    assert capsys.readouterr().err.splitlines()[6:] == [
+        "fit: 6 models not made: import of 6 recordings failed",
+        "table table.h5: made (0.0 s)",
+        "crossval: 5 results not made: import of 6 recordings failed",
+    ]
