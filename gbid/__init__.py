@@ -53,7 +53,17 @@ if TYPE_CHECKING:
     from gbid.prefilter.online import OnlinePrefilter
     from gbid.prefilter.prefilter import prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording
-    from gbid.structure import LinearModel, LinearStructure, Parameter, PiezoPair, Plant, RotorBearing, with_pade
+    from gbid.structure import (
+        LinearModel,
+        LinearStructure,
+        NonlinearModel,
+        NonlinearStructure,
+        Parameter,
+        PiezoPair,
+        Plant,
+        RotorBearing,
+        with_pade,
+    )
     from gbid.validate import (
         NominalActuator,
         ResidualTest,
@@ -78,6 +88,8 @@ __all__ = [
     "MeasuredResponse",
     "MultiStart",
     "NominalActuator",
+    "NonlinearModel",
+    "NonlinearStructure",
     "OnlinePrefilter",
     "Parameter",
     "ParetoFront",
@@ -164,7 +176,10 @@ _HOME = {
     ),
     "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter"),
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
-    "structure": ("LinearModel", "LinearStructure", "Parameter", "PiezoPair", "Plant", "RotorBearing", "with_pade"),
+    "structure": (
+        *("LinearModel", "LinearStructure", "NonlinearModel", "NonlinearStructure", "Parameter"),
+        *("PiezoPair", "Plant", "RotorBearing", "with_pade"),
+    ),
     "validate": (
         *("NominalActuator", "ResidualTest", "ValidationScores", "ValidationSummary"),
         *("check_residuals", "cross_validate", "cross_validate_many", "nominal_actuator", "summarise"),

@@ -71,7 +71,7 @@ def fit_documents(job: Job, outcomes: Sequence[Outcome]) -> list[dict[str, Any]]
             name, _, model = outcome.item.partition("/")
             result, structure = load_made_fit(job, name, model), make_structure(job.experiment, name)
             truth = true_values(job.experiment, result.recordings, structure)
-            document = fit_document(result, truth, true_model(structure, truth, result.model))
+            document = fit_document(result, truth, true_model(structure, truth, result.linear_model))
             place = {"fit": name, "model": model, "state": outcome.state, "path": str(outcome.path)}
             documents.append({**place, **document})
     return documents

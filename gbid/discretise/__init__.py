@@ -5,6 +5,7 @@ from gbid.discretise.dual import Dual, constant, side_by_side
 from gbid.discretise.expm import Exponentials, exponentials, squarings_for
 from gbid.discretise.hold import Discrete, Hold, check_holds, discretise, hold_response
 from gbid.discretise.look_ahead import look_ahead
+from gbid.discretise.one_step import IntegratorName, one_step
 from gbid.discretise.propagate import propagate
 
 __all__ = [
@@ -12,6 +13,7 @@ __all__ = [
     "Dual",
     "Exponentials",
     "Hold",
+    "IntegratorName",
     "Taps",
     "check_holds",
     "constant",
@@ -20,6 +22,7 @@ __all__ = [
     "exponentials",
     "hold_response",
     "look_ahead",
+    "one_step",
     "propagate",
     "side_by_side",
     "squarings_for",

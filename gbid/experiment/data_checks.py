@@ -19,7 +19,7 @@ from gbid.experiment.stages.importing.plan import data_file, mapping_of
 from gbid.identify.problem.initial_states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import Peek, peek
-from gbid.structure import symbolic_matrices
+from gbid.structure import anatomy
 
 PER_UNKNOWN = 10
 """Smallest number of samples per unknown of a fit."""
@@ -84,9 +84,8 @@ def recordings_too_short(experiment: Experiment, seen: Mapping[str, Peek]) -> li
         structure = structure_or_none(experiment, fit)
         if structure is None:
             continue
-        _, matrices = symbolic_matrices(structure)
         free = [q for q in structure.parameters if q.name not in section.fixed]
-        shared, own = len(free), dict.fromkeys(seen, matrices.A.shape[0])
+        shared, own = len(free), dict.fromkeys(seen, anatomy(structure).n_states)
         with suppress(GbidError):  # another check reports it
             used = [q.name for q in experiment.fit_recordings(fit)]
             states = initial_states(structure, free, section.initial_state, used)

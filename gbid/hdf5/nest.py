@@ -169,6 +169,12 @@ class OneOf:
         """Return the value as the first type that accepts it; None when it is absent."""
         if self.may_be_absent and not _is_there(group, name):
             return None
+        records = [codec for codec in self.codecs if isinstance(codec, DataclassGroup)]
+        if len(records) == len(self.codecs) > 1:  # the one with the most of its fields there
+            there = read_group(group, name)
+            return max(records, key=lambda c: sum(_is_there(there, at) for _, at, _ in c.fields)).read(
+                group, name, context
+            )
         return self._first(lambda codec: codec.read(group, name, context))
 
     def _first(self, act: Callable[[Codec], Any]) -> Any:

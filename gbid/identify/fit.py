@@ -19,13 +19,13 @@ from gbid.identify.disturbances.disturbance_starts import disturbance_starts, wi
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion, Shooting
 from gbid.identify.nlp.solver import Solution, solve
-from gbid.identify.nlp.stability import spectral_radius
 from gbid.identify.nlp.watch import Progress, Stop
 from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several, strongly_coloured
 from gbid.identify.outcome import outcome, overflow_notes
-from gbid.identify.predictor import Focus, noise_names
+from gbid.identify.predictor import Focus
 from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start
+from gbid.identify.problem.either_kind import any_noise_names
 from gbid.identify.problem.initial_states import InitialState, initial_states
 from gbid.identify.problem.scaling import build_problem, unknown_bounds, window_length
 from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
@@ -37,14 +37,14 @@ from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.structure import Parameter, Structure, as_names, known_names
+from gbid.structure import AnyStructure, NonlinearStructure, Parameter, as_names, known_names
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
 
 
 def fit(
-    structure: Structure,
+    structure: AnyStructure,
     recordings: Recording | Sequence[Recording],
     *,
     inputs: str | Sequence[str] | None = None,
@@ -80,8 +80,8 @@ def fit(
 
     Parameters
     ----------
-    structure : Structure
-        `RotorBearing`, `PiezoPair`, `Plant` or a user's `LinearStructure`.
+    structure : Structure or NonlinearStructure
+        `RotorBearing`, `PiezoPair`, `Plant`, or a user's `LinearStructure` or `NonlinearStructure`.
     recordings : Recording or sequence of Recording
         Recordings to fit. They share all parameters except those in `local`; each has its own initial state.
     inputs, outputs : str or sequence of str, optional
@@ -189,7 +189,8 @@ def fit(
         undisturbed = without_disturbances(disturbances, data)
         asked = {*given, *(fixed or {})}
         first = begin_values(structure, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
-    structure, begin = structure if in_names else without_inputs(structure), first.values
+    structure = structure if in_names else without_inputs(structure)
+    begin = first.values
 
     def attempt(
         own: Mapping[str, float], samples: int | None, gain_held: bool = False, unstable: bool = True
@@ -212,7 +213,7 @@ def fit(
         )
         full = full_start(assembly, own, disturbance_starts(disturbances, structure, own, data, hold))
         problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
-        rate = spectral_radius(problem.values(problem.unpack(unknowns)[0]))
+        rate = problem.rate(unknowns)
         if plan.grows(rate) and not unstable:
             return Attempt(None, rate, False)
         lower, upper = unknown_bounds(problem, assembly, states)
@@ -245,9 +246,11 @@ def fit(
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
         result = replace(result, notes=(*result.notes, *notes))
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)
-        return Attempt(result, spectral_radius(problem.values(problem.unpack(solution.unknowns)[0])), doubtful)
+        return Attempt(result, problem.rate(solution.unknowns), doubtful)
 
     def settle() -> dict[str, float] | None:
+        if isinstance(structure, NonlinearStructure):
+            return None  # an observer is for linear models
         moved = settled_start(
             structure, parameters, begin, undisturbed, intersample=hold, left_out=left_out or {}, engine=engine
         )
@@ -269,9 +272,9 @@ def fit(
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 
-def _with_gain_held(structure: Structure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
     """Return the parameters with those fixed on which only the disturbance gain depends."""
-    names = noise_names(structure)
+    names = any_noise_names(structure)
     return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
 
 

@@ -15,7 +15,7 @@ from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
 from gbid.recording import Recording
-from gbid.structure import Structure
+from gbid.structure import AnyStructure
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
 _SAME_IN_STD = 0.1  # largest difference of their parameters, in standard deviations
@@ -84,7 +84,7 @@ class MultiStart(Brief):
 
 
 def fit_multistart(
-    structure: Structure,
+    structure: AnyStructure,
     recordings: Recording | Sequence[Recording],
     *,
     starts: int = 10,
@@ -96,7 +96,7 @@ def fit_multistart(
 
     Parameters
     ----------
-    structure : Structure
+    structure : Structure or NonlinearStructure
         Structure to fit.
     recordings : Recording or sequence of Recording
         Recordings to fit.
@@ -150,7 +150,7 @@ def fit_multistart(
     return _summary(results, seed)
 
 
-def _from_data(structure: Structure, recordings: Recording | Sequence[Recording], options: Any) -> list[FitResult]:
+def _from_data(structure: AnyStructure, recordings: Recording | Sequence[Recording], options: Any) -> list[FitResult]:
     """Return the fit from a start that is found in the data; none when the recordings do not suffice for that."""
     try:
         return [fit(structure, recordings, **{**options, "start": "data"})]

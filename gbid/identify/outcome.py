@@ -7,11 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
-from gbid.discretise import Dual
-from gbid.identify.curves.slopes import model_slopes
 from gbid.identify.data import FitData
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
+from gbid.identify.nonlinear.working_point import at_working_point
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
 from gbid.identify.problem.initial_states import InitialStates, released_states
@@ -20,10 +19,10 @@ from gbid.identify.robust.reweighting import Reweighted
 from gbid.identify.uncertainty.bootstrap import Bootstrap
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less, not_determined
-from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
+from gbid.identify.uncertainty.model_spreads import model_spreads
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
-from gbid.structure import LinearModel, Parameter, Structure, evaluate
+from gbid.structure import AnyStructure, NonlinearModel, Parameter, model_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
 _NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
@@ -31,7 +30,7 @@ _NEAR_IN_STD = 1e-3  # the same as a part of its standard deviation
 
 
 def outcome(
-    structure: Structure,
+    structure: AnyStructure,
     parameters: tuple[Parameter, ...],
     data: FitData,
     assembly: Assembly,
@@ -117,8 +116,10 @@ def outcome(
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
     first = {**estimates, **{short: estimates[full] for short, full in assembly.record_names[0].items()}}
     own = [q.name for q in structure.parameters]
-    model = evaluate(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
-    modes_std, gain_std = _propagated(problem, theta, chosen, model)
+    model = model_of(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
+    if isinstance(model, NonlinearModel):
+        model = at_working_point(model, problem, theta, starts, data)
+    spreads = model_spreads(problem, theta, chosen, model, own)
     n, k = problem.n_samples, len(theta) + int((~settled).sum())
     first_states = starts[assembly.record_window] + released_states(problem, theta, assembly.record_window)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
@@ -135,8 +136,8 @@ def outcome(
         covariance_bootstrap=found.bootstrap,
         trusted=trusted,
         whiteness=white.p_value if finite else np.full(len(products), np.nan),
-        modes_std=modes_std,
-        static_gain_std=gain_std,
+        modes_std=spreads.modes,
+        static_gain_std=spreads.static_gain,
         initial_states=first_states[:, : assembly.n_states],
         loss=float(np.trace(mean_square) if problem.criterion == "trace" else np.linalg.det(mean_square)),
         error_covariance=mean_square,
@@ -161,7 +162,7 @@ def outcome(
         model=model,
         sample_time=data.sample_time,
         local_names=locals_of,
-        model_slopes=model_slopes(problem.parts[0].predictor, theta, problem.parts[0].index),
+        model_slopes=spreads.slopes,
     )
 
 
@@ -267,7 +268,7 @@ def overflow_notes(points: int) -> tuple[str, ...]:
 
 
 def _doubts(
-    problem: Shooting, theta: FloatArray, structure: Structure, assembly: Assembly, found: Covariance
+    problem: Shooting, theta: FloatArray, structure: AnyStructure, assembly: Assembly, found: Covariance
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in assembly.free])
     known, own = {q.name for q in structure.parameters}, assembly.own_names
@@ -308,23 +309,6 @@ def _standard_deviations(
         if not (on_bound[i] or dark[i]):
             std[q.name] = float(np.sqrt(chosen[i, i]))
     return std
-
-
-def _propagated(
-    problem: Shooting, theta: FloatArray, chosen: FloatArray, model: LinearModel
-) -> tuple[FloatArray, FloatArray]:
-    """Return the standard deviations of modes and static gain of the first part's model."""
-    part = problem.parts[0]
-    A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
-    own = chosen[np.ix_(part.index, part.index)]
-    if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
-        return np.full((len(model.modes()), 2), np.nan), np.full(model.D.shape, np.nan)
-    _, slopes = mode_slopes(A)
-    gain_std = np.full(model.D.shape, np.nan)
-    if np.linalg.cond(A.value) < 1e15:
-        late = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
-        gain_std = spread(static_gain_slopes(A, late, C, D)[1], own)
-    return spread(slopes, own), gain_std
 
 
 def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray], horizon: int) -> FloatArray:

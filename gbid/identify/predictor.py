@@ -12,7 +12,6 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.discretise import (
     Dual,
-    Hold,
     check_holds,
     constant,
     delayed_taps,
@@ -23,6 +22,7 @@ from gbid.discretise import (
 from gbid.errors import UsageError
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.disturbances.in_predictor import disturbing_columns, with_random_walks
+from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
 
 Focus = Literal["prediction", "simulation"]
@@ -68,65 +68,11 @@ class PredictorValues(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Predictor:
-    """Predictor of a structure for one set of free parameters, sample time, hold and focus.
+class Predictor(GeneralPredictor):
+    """Predictor of a linear structure; see `GeneralPredictor`."""
 
-    Attributes
-    ----------
-    free : tuple of Parameter
-        Parameters to estimate, in order.
-    noise : tuple of int
-        Positions of the free parameters on which only the disturbance gain depends.
-    unused : tuple of str
-        Parameters without effect for this focus (the disturbance gain in simulation focus).
-    n_states, n_inputs, n_outputs : int
-        Numbers of states (with those of random walks), inputs and outputs.
-    holds : tuple of {"zoh", "foh"}
-        Behaviour of each input between samples.
-    prompt, delayed : tuple of int
-        Inputs without delay, and inputs with an exact delay.
-    feeds_back : bool
-        Whether measured outputs are regressors.
-    disturbances : Disturbances
-        Disturbances of the outputs. Their coefficients are the last free parameters.
-    walks : tuple of int
-        Positions of the free parameters that are gains of random walks. The last states are their offsets.
-    horizon : int
-        Number of steps of the prediction.
-    sample_time : float
-        Time between samples [s].
-    released : bool
-        Whether initial states are functions of the parameters. They act like an impulse at the first sample.
-    """
-
-    free: tuple[Parameter, ...]
-    noise: tuple[int, ...]
-    unused: tuple[str, ...]
-    n_states: int
-    n_inputs: int
-    n_outputs: int
-    holds: tuple[Hold, ...]
-    prompt: tuple[int, ...]
-    delayed: tuple[int, ...]
-    feeds_back: bool
-    disturbances: Disturbances
-    walks: tuple[int, ...]
-    horizon: int
-    sample_time: float
-    released: bool
     _function: ca.Function
     _shapes: tuple[tuple[int, int], ...]
-
-    @property
-    def _lead(self) -> list[int]:
-        """Prompt inputs whose next sample is also a regressor."""
-        return [i for i in self.prompt if self.holds[i] == "foh"]
-
-    @property
-    def _has_impulse(self) -> bool:
-        """Whether an impulse is a regressor: for released states, and with zeros as its columns for a free decay."""
-        driven = self.prompt or self.delayed or self.feeds_back or self.disturbances.n_columns
-        return self.released or not driven
 
     def at(self, theta: FloatArray) -> PredictorValues:
         """Return the matrices at values of the free parameters, shape (n_free,).
@@ -175,39 +121,6 @@ class Predictor:
             parts = look_ahead(parts, F, drive, C, feed, self.horizon)
         F, G, C, H = parts
         return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
-
-    def regressors(self, inputs: FloatArray, outputs: FloatArray, shift: tuple[int, ...]) -> FloatArray:
-        """Return the regressors ``z`` of one record, shape (n_samples - horizon + 1, n_z).
-
-        Row k contains, in this order: prompt inputs ``u[k]``; ``u[k+1]`` of those under first-order hold; for each
-        delayed input its samples around ``k - shift``; those of trends and hum; an impulse at the first sample;
-        ``y[k]`` if the disturbance gain is used; and all but the last again for a longer horizon. Before the record an
-        input is constant at its first sample. After it the input is constant at its last sample, without effect.
-        """
-        n = len(inputs)
-
-        def lagged(channels: Sequence[int], lag: int) -> FloatArray:
-            rows = np.clip(np.arange(n) - lag, 0, n - 1)
-            return np.asarray(inputs[np.ix_(rows, np.array(channels, int))])
-
-        parts = [inputs[:, list(self.prompt)]]
-        if self._lead:
-            parts.append(lagged(self._lead, -1))
-        for i, d in zip(self.delayed, shift, strict=True):
-            first = d - 1 if self.holds[i] == "foh" else d
-            parts += [lagged([i], lag) for lag in range(first, d + 2)]
-        if self.disturbances.n_columns:
-            parts.append(self.disturbances.regressors(n, self.sample_time))
-        if self._has_impulse:
-            parts.append(np.eye(n, 1))
-        now = np.hstack(parts)
-        z = [now, outputs] if self.feeds_back else [now]
-        rows = n - self.horizon + 1
-        return np.hstack([part[:rows] for part in z] + [now[i : i + rows] for i in range(1, self.horizon)])
-
-    def targets(self, outputs: FloatArray) -> FloatArray:
-        """Return the outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
-        return outputs[self.horizon - 1 :]
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Return the matrices of the structure in continuous time with their derivatives, as in `Matrices`."""

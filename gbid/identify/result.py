@@ -18,7 +18,7 @@ from gbid.identify.curves.bode import Bode, bode
 from gbid.identify.curves.uncertain_model import ModelSlopes, UncertainModel
 from gbid.identify.options import FitOptions
 from gbid.identify.status import FitStatus
-from gbid.structure import LinearModel
+from gbid.structure import LinearModel, NonlinearModel
 from gbid.tables.html import html_table
 from gbid.tables.table import Column, Entry, Table
 
@@ -174,7 +174,7 @@ class FitResult(Brief, Pictured):
     start_origin: Annotated[Mapping[str, str], _texts_of_each("start_origin")]
     notes: tuple[str, ...]
     options: FitOptions
-    model: LinearModel
+    model: LinearModel | NonlinearModel
     sample_time: Annotated[float, Stored("s", "time between samples")]
     local_names: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     multi_start: StartsTried | None = None
@@ -232,9 +232,14 @@ class FitResult(Brief, Pictured):
         return self.status.success
 
     @property
+    def linear_model(self) -> LinearModel:
+        """The model; of a nonlinear structure the linear model at its working point."""
+        return self.model if isinstance(self.model, LinearModel) else self.model.linearise()
+
+    @property
     def uncertain_model(self) -> UncertainModel:
         """The model with the derivatives of its matrices and the covariance of the parameters."""
-        return UncertainModel(self.model, self.model_slopes, self.covariance)
+        return UncertainModel(self.linear_model, self.model_slopes, self.covariance)
 
     def bode(self, frequency_hz: npt.ArrayLike | None = None) -> Bode:
         """Return the frequency response of the model with standard deviations from `covariance`.

@@ -63,7 +63,7 @@ def save_csv(
                 f"{path}: an LPV model has a frequency response at one operating point only; "
                 "give what.at(pressure_bar, speed_rpm)"
             )
-        table = _responses(what.model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
+        table = _responses(what.linear_model if isinstance(what, FitResult) else what, np.atleast_1d(frequency_hz))
     elif isinstance(what, LPVModel):
         table = _coefficients(what)
     elif isinstance(what, FitResult):

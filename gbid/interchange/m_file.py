@@ -13,7 +13,7 @@ _LOAD = "data = load(fullfile(fileparts(mfilename('fullpath')), '{name}.mat'));"
 
 def linear_function(name: str, what: LinearModel | FitResult) -> str:
     """Return the text of the MATLAB function of a model or fit."""
-    model = what.model if isinstance(what, FitResult) else what
+    model = what.linear_model if isinstance(what, FitResult) else what
     with_idss = model.K is not None
     lines = [
         f"function {'[sys, fitted]' if with_idss else 'sys'} = {name}()",

@@ -87,7 +87,7 @@ def save_mat(
 
 def linear_contents(what: LinearModel | FitResult, units: Mapping[str, str] | None = None) -> dict[str, Any]:
     """Return the variables of the mat file of a model or fit; missing matrices are empty."""
-    model = what.model if isinstance(what, FitResult) else what
+    model = what.linear_model if isinstance(what, FitResult) else what
     own = isinstance(what, FitResult) and what.structure in _IN_METRES
     known = {name: "m" for name in (*model.input_names, *model.output_names) if own} | dict(units or {})
     unknown = sorted(set(known) - {*model.input_names, *model.output_names})

@@ -80,5 +80,5 @@ def _fit(fit: FitResult) -> dict[str, Any]:
             for name, value in fit.parameters.items()
         },
         "fit_percent": fit.fit_percent.tolist(),
-        "model": _model(fit.model),
+        "model": _model(fit.linear_model),
     }

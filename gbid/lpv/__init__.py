@@ -1,4 +1,4 @@
-"""Linear parameter-varying (LPV) model: polynomials over pressure and speed, and its files."""
+"""Linear parameter-varying (LPV) models: polynomials over scheduling variables, their fits, and their files."""
 
 from gbid.lpv.basis import EXPONENTS, TERMS, basis, polynomial, regressors
 from gbid.lpv.characteristics import CHARACTERISTICS, Deviation, characteristics
@@ -14,12 +14,14 @@ from gbid.lpv.machine_data import (
     ReferenceModes,
 )
 from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
+from gbid.lpv.scheduled_model import ScheduledModel
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.fit_lpv import fit_lpv
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
 from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
+from gbid.lpv.surface_fit.scheduled_fit import ScheduledFit
 
 __all__ = [
     "ACTUATOR_PARAMETERS",
@@ -39,6 +41,8 @@ __all__ = [
     "ProportionalDesign",
     "Quantity",
     "ReferenceModes",
+    "ScheduledFit",
+    "ScheduledModel",
     "basis",
     "characteristics",
     "fit_lpv",

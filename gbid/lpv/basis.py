@@ -14,6 +14,9 @@ from gbid.errors import UsageError
 TERMS = ("1", "P", "Omega", "Omega P", "P^2", "Omega^2")
 """Terms in the order of the coefficients; P in bar, Omega in rpm."""
 
+SCHEDULING = ("pressure_bar", "speed_rpm")
+"""Scheduling variables of a gas bearing."""
+
 EXPONENTS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
 """Powers of (P, Omega) of each term."""
 

@@ -1,7 +1,11 @@
 """Model structures: delays, rotor-bearing, actuators, their series connection, and structures of a user."""
 
+from gbid.structure.any_structure import Anatomy, AnyStructure, anatomy, model_of
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
+from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
+from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.frequency_grid import frequency_grid
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.numeric.pade_model import with_pade
@@ -13,21 +17,29 @@ from gbid.structure.user import load_structure
 
 __all__ = [
     "KEY_PARAMETERS",
+    "Anatomy",
+    "AnyStructure",
     "LinearModel",
     "LinearStructure",
     "Matrices",
+    "NonlinearModel",
+    "NonlinearStructure",
     "Parameter",
     "PiezoPair",
     "Plant",
     "RotorBearing",
     "Structure",
     "Values",
+    "anatomy",
     "as_names",
     "evaluate",
     "frequency_grid",
     "known_names",
     "load_structure",
+    "model_of",
+    "nonlinear_model",
     "pade_delay",
+    "symbolic_equations",
     "symbolic_matrices",
     "with_pade",
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import isnan
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import casadi as ca
@@ -14,6 +15,12 @@ from gbid.discretise import Hold
 from gbid.errors import UsageError
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
+
+_SYMBOLS = (
+    "parameters are CasADi symbols: use casadi functions (casadi.sqrt for math.sqrt, casadi.fmax for max, "
+    "casadi.if_else for if) and nested lists or casadi.SX.zeros(n, m) for a matrix that is filled entry by entry"
+)
+"""What to do about Python that needs numbers."""
 
 
 class Matrices(NamedTuple):
@@ -186,7 +193,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     except UsageError:
         raise
     except Exception as error:
-        raise UsageError(f"{where}: matrices(p) failed: {in_one_line(error)}") from error
+        raise UsageError(f"{where}: matrices(p) failed: {in_one_line(error)}; {_SYMBOLS}") from error
     missing = [letter for letter in "AC" if letter not in given]
     unknown = [letter for letter in given if letter not in Matrices._fields]
     if missing or unknown or ("delay" in given) != ("B_delayed" in given):
@@ -194,7 +201,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
             f"{where}: matrices(p) must give A and C, and may give B, D, K, x0, and B_delayed with delay; "
             f"got {', '.join(given) or 'nothing'}"
         )
-    sx = {letter: _as_matrix(value, f"{where}: {letter}") for letter, value in given.items()}
+    sx = {letter: _as_matrix(value, letter, where) for letter, value in given.items()}
     n, n_y = sx["A"].shape[0], sx["C"].shape[0]
     n_u = next((sx[letter].shape[1] for letter in ("B", "D", "B_delayed") if letter in sx), 0)
     has_delay = "delay" in sx
@@ -270,16 +277,30 @@ def in_one_line(error: Exception) -> str:
     return f"{type(error).__name__}: {lines[-1].strip()}"
 
 
-def _as_matrix(value: Any, where: str) -> ca.SX:
-    """Return nested lists, arrays, numbers or CasADi matrices as SX."""
+def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
+    """Return nested lists, arrays, numbers or CasADi matrices as SX; a flat list is a row of C, else a column."""
     try:
         if isinstance(value, ca.SX | ca.DM):
-            return ca.SX(value)
-        if isinstance(value, list | tuple):
-            rows = [row if isinstance(row, list | tuple) else [row] for row in value]
+            found = ca.SX(value)
+        else:
+            given = value.tolist() if isinstance(value, np.ndarray) else value
+            rows = list(given) if isinstance(given, list | tuple) else [given]
+            if rows and not any(isinstance(row, list | tuple) for row in rows):
+                rows = [rows] if letter == "C" else [[entry] for entry in rows]
             if rows and not any(rows):  # no columns, as B of a structure without inputs
                 return ca.SX(len(rows), 0)
-            return ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
-        return ca.SX(ca.DM(np.atleast_2d(np.asarray(value, float))))
+            found = ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
     except Exception as error:
-        raise UsageError(f"{where} is not a matrix: {in_one_line(error)}") from None
+        raise UsageError(f"{where}: {letter} is not a matrix: {in_one_line(error)}") from None
+    if _contains_nan(found):
+        entries = [(row, column) for row in range(found.shape[0]) for column in range(found.shape[1])]
+        row, column = next(entry for entry in entries if _contains_nan(found[entry]))
+        raise UsageError(f"{where}: {letter}[{row}, {column}] is nan: a parameter lost its symbol; {_SYMBOLS}")
+    return found
+
+
+def _contains_nan(matrix: ca.SX) -> bool:
+    """Return whether a constant in the expressions is nan, which is what Python makes of ``float(symbol)``."""
+    f = ca.Function("entries", ca.symvar(matrix), [matrix])
+    constants = (f.instruction_constant(i) for i in range(f.n_instructions()) if f.instruction_id(i) == ca.OP_CONST)
+    return any(isnan(value) for value in constants)

@@ -6,10 +6,11 @@ import importlib.util
 from pathlib import Path
 
 from gbid.errors import UsageError
-from gbid.structure.linear import Structure, in_one_line, symbolic_matrices
+from gbid.structure.any_structure import AnyStructure, anatomy
+from gbid.structure.linear import in_one_line
 
 
-def load_structure(reference: str, folder: Path | None = None) -> Structure:
+def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     """Return the structure named as ``file.py:name``.
 
     Parameters
@@ -22,12 +23,12 @@ def load_structure(reference: str, folder: Path | None = None) -> Structure:
     Returns
     -------
     Structure
-        The structure, after a check of the shapes of its matrices.
+        The structure, after a check of the sizes of its equations.
 
     Raises
     ------
     UsageError
-        When the file is missing, when its import fails, when it has no such name, or when the matrices do not fit.
+        When the file is missing, when its import fails, when it has no such name, or when its equations do not fit.
     """
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
@@ -46,15 +47,17 @@ def load_structure(reference: str, folder: Path | None = None) -> Structure:
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
     structure = getattr(module, name)
-    if not isinstance(structure, Structure) and callable(structure):
+    if not isinstance(structure, AnyStructure) and callable(structure):
         try:
             structure = structure()
         except Exception as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
-    if not isinstance(structure, Structure):
-        raise UsageError(f"{path}: {name} is not a structure; make it a gbid.LinearStructure")
+    if not isinstance(structure, AnyStructure):
+        raise UsageError(
+            f"{path}: {name} is not a structure; make it a gbid.LinearStructure or gbid.NonlinearStructure"
+        )
     try:
-        symbolic_matrices(structure)
+        anatomy(structure)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
     return structure

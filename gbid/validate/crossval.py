@@ -15,8 +15,9 @@ from gbid.extras import Pictured, data_frame
 from gbid.identify import FitResult
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
+from gbid.validate.any_simulator import AnySimulator, simulator
 from gbid.validate.scores import ValidationScores, join_scores
-from gbid.validate.simulator import Explained, Simulator, simulator
+from gbid.validate.simulator import Explained
 from gbid.validate.validation_data import Ranges, ValidationData, validation_data
 
 
@@ -178,7 +179,7 @@ def cross_validate_many(
     return join_scores([(" ".join(results[i].recordings), data[j], fit, norm) for i, j, fit, norm in found])
 
 
-def score(fitted: Simulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
+def score(fitted: AnySimulator, data: ValidationData) -> tuple[FloatArray, FloatArray]:
     """Return fit percent and largest deviation of one model on one recording.
 
     Returns
@@ -200,7 +201,7 @@ def _figures(explained: Explained, data: ValidationData) -> tuple[FloatArray, Fl
     return 100 * (1 - error / data.spread), np.abs(rest).max(axis=1)
 
 
-def _explain(fitted: Simulator, data: ValidationData) -> Explained:
+def _explain(fitted: AnySimulator, data: ValidationData) -> Explained:
     model = fitted.model
     if not np.isclose(data.sample_time, fitted.sample_time, rtol=1e-6, atol=0):
         raise DataError(

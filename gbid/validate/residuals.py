@@ -17,8 +17,8 @@ from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.identify.disturbances.walking_model import with_walking_offsets
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
+from gbid.validate.any_simulator import simulator_of
 from gbid.validate.fit_percent import fit_percent
-from gbid.validate.simulator import Simulator
 from gbid.validate.validation_data import Ranges, counted_samples
 
 _LEVEL = 0.99
@@ -148,7 +148,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.options.disturbances
-        fitted = Simulator(model, recording.sample_time, between, disturbances)
+        fitted = simulator_of(model, recording.sample_time, between, disturbances)
         state = fitted.explain(u.T, y.T).initial_state
         if not np.isfinite(state).all():
             raise overflow

@@ -10,7 +10,6 @@ import numpy as np
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.discretise import discretise
-from gbid.identify import FitResult
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.structure import LinearModel
 
@@ -125,7 +124,9 @@ class Simulator:
             rest = rest if counted is None else rest[:, counted]
             if not np.isfinite(rest).all():
                 return Explained(np.full(self.model.n_states, np.nan), rest)
-            rest = rest - self._course(rest, inputs.shape[1], counted)  # they drop out of the problem
+            rest = rest - course(
+                self.disturbances, self.sample_time, rest, inputs.shape[1], counted
+            )  # they drop out of the problem
             free = self._free_responses(inputs.shape, counted)
             head = rest[:, : free.basis.shape[1]]
             found = np.tensordot(free.basis, head, axes=((0, 1), (0, 1)))
@@ -142,15 +143,8 @@ class Simulator:
         counted : (n_samples,) array of bool, optional
             Samples that count; all by default.
         """
-        return self._course(error if counted is None else error[:, counted], error.shape[1], counted, everywhere=True)
-
-    def _course(self, rest: FloatArray, n: int, counted: BoolArray | None, *, everywhere: bool = False) -> FloatArray:
-        known = self.disturbances.instead_of_walks(1)
-        if not known.n_columns:
-            return np.zeros((len(rest), 1))
-        columns = known.regressors(n, self.sample_time)
-        there = columns if counted is None else columns[counted]
-        return known.closest(rest.T, there) @ (columns if everywhere else there).T
+        there = error if counted is None else error[:, counted]
+        return course(self.disturbances, self.sample_time, there, error.shape[1], counted, everywhere=True)
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
         """Return the simulated outputs without trend and hum, (n_outputs, n_samples).
@@ -196,17 +190,43 @@ class Simulator:
             free = np.stack(runs, axis=2)
             free = free if counted is None else free[:, counted]
             for state in range(self.model.n_states):
-                free[:, :, state] -= self._course(free[:, :, state], n, counted)
+                free[:, :, state] -= course(self.disturbances, self.sample_time, free[:, :, state], n, counted)
             self._free[key] = _orthonormal(free)
         return self._free[key]
 
 
-def simulator(result: FitResult) -> Simulator:
-    """Return a fitted model prepared for the simulation on many recordings."""
-    options = result.options
-    return Simulator(
-        result.model, result.sample_time, options.intersample, options.disturbances, ", ".join(result.recordings)
-    )
+def course(
+    disturbances: Disturbances,
+    sample_time: float,
+    rest: FloatArray,
+    n: int,
+    counted: BoolArray | None,
+    *,
+    everywhere: bool = False,
+) -> FloatArray:
+    """Return the trend and hum closest to what a simulation leaves; a random walk counts as an offset.
+
+    Parameters
+    ----------
+    disturbances : Disturbances
+        Trends and hum.
+    sample_time : float
+        Time between samples [s].
+    rest : (n_outputs, n_counted) array
+        Measured less simulated outputs, at the samples that count.
+    n : int
+        Number of all samples.
+    counted : (n,) array of bool or None
+        Samples that count; None for all.
+    everywhere : bool
+        Whether the course at all samples is wanted, and not at those that count.
+    """
+    known = disturbances.instead_of_walks(1)
+    if not known.n_columns:
+        return np.zeros((len(rest), 1))
+    columns = known.regressors(n, sample_time)
+    there = columns if counted is None else columns[counted]
+    return known.closest(rest.T, there) @ (columns if everywhere else there).T
 
 
 def estimate_initial_state(

@@ -1,5 +1,7 @@
 """The paper's structures against its equations, and a user's own against wrong input."""
 
+import math
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -197,6 +199,10 @@ def test_linear_structure_takes_lists_arrays_and_casadi():
         },
         lambda p: {"A": ca.blockcat([[0, 1], [0, -p.b1]]), "B": [0, p.K2], "C": ca.DM([[1, 0]]), "D": 0, "K": [0, 0]},
     ]
+    forms += [
+        lambda p: {"A": np.array([[0, 1], [0, -p.b1]]), "B": np.array([0, p.K2]), "C": np.array([1, 0])},
+        lambda p: {**arm(p), "A": np.diag([1, p.K2]) @ np.array([[0, 1], [0, -p.b1 / p.K2]])},
+    ]
     for form in forms:
         model = evaluate(LinearStructure("arm", ARM, form), {"b1": 3.0, "K2": -5.0})
         np.testing.assert_array_equal(model.A, [[0, 1], [0, -3]])
@@ -217,6 +223,12 @@ def test_linear_structure_defaults():
 STRAY = ca.SX.sym("stray")
 
 
+def filled_entry_by_entry(p):
+    A = np.zeros((2, 2))
+    A[0, 1], A[1, 1] = 1, -p.b1
+    return A
+
+
 @pytest.mark.parametrize(
     ("matrices", "text"),
     [
@@ -234,6 +246,13 @@ STRAY = ca.SX.sym("stray")
         (lambda p: {**arm(p), "A": [[p.b2]]}, "no parameter 'b2'; there are b1, K2"),
         (lambda p: {**arm(p), "A": [[p["b2"]]]}, "KeyError: 'b2'"),
         (lambda p: None, r"matrices\(p\) failed: TypeError"),
+        (
+            lambda p: {**arm(p), "A": [[0, 1], [0, 1 - math.sqrt(p.b1)]]},
+            r"A\[1, 1\] is nan: .*casadi.sqrt for math.sqrt",
+        ),
+        (lambda p: {**arm(p), "B": [[0], [float(p.K2)]]}, r"B\[1, 0\] is nan: a parameter lost its symbol"),
+        (lambda p: {**arm(p), "A": filled_entry_by_entry(p)}, r"A\[1, 1\] is nan: .*casadi.SX.zeros\(n, m\)"),
+        (lambda p: {**arm(p), "A": [[0, 1], [0, -max(p.b1, 0)]]}, "truth value .*casadi.fmax for max, casadi.if_else"),
     ],
 )
 def test_wrong_matrices_are_refused_in_one_line(matrices, text):

@@ -33,7 +33,7 @@ def write_tables(item: ExportItem, request: ExportRequest) -> list[Path]:
         return [save_csv(what, request.folder / f"{item.name}_coefficients.csv", overwrite=request.overwrite)]
     if isinstance(what, FitResult):
         parameters = save_csv(what, request.folder / f"{item.name}_parameters.csv", overwrite=request.overwrite)
-        return [parameters, *_linear(item.name, what.model, request, what.sample_time)]
+        return [parameters, *_linear(item.name, what.linear_model, request, what.sample_time)]
     return _linear(item.name, what, request)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
@@ -29,9 +31,7 @@ def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> Mo
     """
 
     def spread_out(slope: FloatArray) -> FloatArray:
-        found = np.zeros((len(theta), *slope.shape[1:]))
-        np.add.at(found, index, slope)
-        return found
+        return _among_all(slope, len(theta), index)
 
     A, B, C, D, _, B_delayed, late = predictor.matrices(theta[index])
     return ModelSlopes(
@@ -42,6 +42,18 @@ def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> Mo
         B_delayed=spread_out(B_delayed.slope),
         delay=spread_out(_delays(predictor, late)),
     )
+
+
+def nonlinear_slopes(matrices: Sequence[Dual], n_free: int, index: IntArray) -> ModelSlopes:
+    """Return the same for A, B, C and D of a linearised model, without delays."""
+    A, B, C, D = (_among_all(m.slope, n_free, index) for m in matrices)
+    return ModelSlopes(A, B, C, D, np.zeros_like(B), np.zeros((n_free, B.shape[2])))
+
+
+def _among_all(slope: FloatArray, n_free: int, index: IntArray) -> FloatArray:
+    found = np.zeros((n_free, *slope.shape[1:]))
+    np.add.at(found, index, slope)
+    return found
 
 
 def _delays(predictor: Predictor, late: Dual) -> FloatArray:

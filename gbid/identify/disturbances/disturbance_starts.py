@@ -10,14 +10,14 @@ import numpy as np
 from gbid.discretise import Hold
 from gbid.identify.data import FitData
 from gbid.identify.disturbances.disturbances import Disturbances
-from gbid.structure import Structure, evaluate
+from gbid.structure import AnyStructure, model_of
 
 _RUNAWAY = 1e3  # size of a simulation, in that of the outputs, beyond which the model counts as unstable
 
 
 def disturbance_starts(
     disturbances: Disturbances,
-    structure: Structure,
+    structure: AnyStructure,
     begin: Mapping[str, float],
     data: FitData,
     intersample: Hold | Sequence[Hold],
@@ -46,7 +46,7 @@ def disturbance_starts(
     gains = {q.name: float(q.start or 0.0) for q in disturbances.walk_gains(data.sample_time)}
     if not disturbances.terms:
         return [gains for _ in data.records]
-    model, starts = evaluate(structure, begin), []
+    model, starts = model_of(structure, begin), []
     for record in data.records:
         left = record.outputs - model.simulate(record.inputs, data.sample_time, intersample=intersample)
         if not np.abs(left).max() < _RUNAWAY * np.abs(record.outputs).max():

@@ -8,17 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.identify.disturbances.disturbances import Disturbances
-from gbid.structure import LinearModel
+from gbid.structure import LinearModel, NonlinearModel
+from gbid.structure.nonlinear.nonlinear_model import with_integrators
 
 
 def with_walking_offsets(
-    model: LinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
-) -> LinearModel:
+    model: LinearModel | NonlinearModel, disturbances: Disturbances, parameters: Mapping[str, float]
+) -> LinearModel | NonlinearModel:
     """Return a model with one more state for each output whose offset is a random walk.
 
     Parameters
     ----------
-    model : LinearModel
+    model : LinearModel or NonlinearModel
         Fitted model in continuous time.
     disturbances : Disturbances
         Disturbances of the fit.
@@ -27,12 +28,15 @@ def with_walking_offsets(
 
     Returns
     -------
-    LinearModel
+    LinearModel or NonlinearModel
         Its last states are the offsets. Without random walks it is the model itself.
     """
     walking = list(disturbances.walking)
     if not walking:
         return model
+    if isinstance(model, NonlinearModel):
+        gains = [parameters[disturbances.gain_name(output)] for output in walking]
+        return with_integrators(model, walking, gains)
     n, (n_y, n_u), added = model.n_states, model.D.shape, len(walking)
     A, C, K = np.zeros((n + added,) * 2), np.zeros((n_y, n + added)), np.zeros((n + added, n_y))
     A[:n, :n], C[:, :n] = model.A, model.C

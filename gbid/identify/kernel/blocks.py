@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.data import FitData
-from gbid.identify.predictor import Predictor
+from gbid.identify.kernel.general_predictor import GeneralPredictor
 
 LONGEST_BLOCK = 512  # samples; a longer shooting window consists of several blocks, see gbid.identify.kernel.sweep
 LANES = 8  # blocks in one group: number of doubles in the widest vector register
@@ -66,7 +66,7 @@ class Blocks:
         First window of each segment.
     n_samples : int
         Number of samples in the cost.
-    predictor : Predictor
+    predictor : GeneralPredictor
         Predictor of these blocks; it defines the regressors.
     segments : tuple of Segment
         Segments in the blocks.
@@ -80,7 +80,7 @@ class Blocks:
     window_size: IntArray
     segment_first: IntArray
     n_samples: int
-    predictor: Predictor
+    predictor: GeneralPredictor
     segments: tuple[Segment, ...]
     _regressors: dict[tuple[int, ...], FloatArray] = field(default_factory=dict)
 
@@ -125,6 +125,20 @@ class Blocks:
             self._regressors[shift] = _in_groups(parts, self.length, self.lanes)
         return self._regressors[shift]
 
+    def by_whole_segments(self) -> Blocks:
+        """Return the same blocks with each segment as one window."""
+        first = self.window_first[self.segment_first]
+        size = np.diff(np.append(first, self.n_blocks))
+        every = np.arange(len(first))
+        return replace(self, per_window=int(size.max()), window_first=first, window_size=size, segment_first=every)
+
+    def side_by_side(self, values: FloatArray, own: slice) -> FloatArray:
+        """Return values of some blocks, (n_groups, length, n, lanes), side by side, (length, n, n_blocks)."""
+        groups = slice(own.start // self.lanes, -(-own.stop // self.lanes))
+        rows = values[groups].transpose(1, 2, 0, 3).reshape(self.length, values.shape[2], -1)
+        skipped = groups.start * self.lanes
+        return rows[:, :, own.start - skipped : own.stop - skipped]
+
     def by_segment(self, values: FloatArray) -> list[FloatArray]:
         """Return values of blocks, (n_groups, length, n, lanes), as one (n_samples, n) array for each segment."""
         rows = values.transpose(0, 3, 1, 2).reshape(-1, self.length, values.shape[2])
@@ -139,7 +153,7 @@ class Blocks:
 
 def cut(
     data: FitData | Sequence[Segment],
-    predictor: Predictor,
+    predictor: GeneralPredictor,
     window: int | None,
     *,
     longest_block: int = LONGEST_BLOCK,
@@ -151,7 +165,7 @@ def cut(
     ----------
     data : FitData or sequence of Segment
         Records, or parts of them.
-    predictor : Predictor
+    predictor : GeneralPredictor
         Predictor, which defines the regressors.
     window : int or None
         Number of samples in a shooting window; None makes each segment one window. A window that is longer than a block
@@ -214,7 +228,7 @@ def reweighted(blocks: Blocks, weights: Sequence[FloatArray]) -> Blocks:
     return replace(blocks, segments=tuple(segments), used=used)
 
 
-def _use(segments: Sequence[Segment], predictor: Predictor, length: int, lanes: int) -> FloatArray:
+def _use(segments: Sequence[Segment], predictor: GeneralPredictor, length: int, lanes: int) -> FloatArray:
     """Return the roots of the weights of samples in groups of blocks, (n_groups, length, lanes)."""
     rows = [
         _of_targets(segment, segment.counts, predictor) * np.sqrt(_of_targets(segment, segment.weights, predictor))
@@ -223,7 +237,7 @@ def _use(segments: Sequence[Segment], predictor: Predictor, length: int, lanes: 
     return np.ascontiguousarray(_in_groups(rows, length, lanes)[:, :, 0])
 
 
-def _of_targets(segment: Segment, values: FloatArray | None, predictor: Predictor) -> FloatArray:
+def _of_targets(segment: Segment, values: FloatArray | None, predictor: GeneralPredictor) -> FloatArray:
     """Return values of the samples of a record for the targets of a segment, (n, 1); ones where there are none."""
     whole = np.ones(len(segment.outputs)) if values is None else values
     return segment.part(predictor.targets(whole[:, None]))

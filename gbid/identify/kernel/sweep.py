@@ -72,19 +72,6 @@ def powers_of(F: FloatArray, count: int) -> FloatArray:
     return powers
 
 
-def forced_states(v: PredictorValues, blocks: Blocks) -> FloatArray:
-    """Return the states of all blocks from zero start, and after their end: (length + 1, n, W)."""
-    z = blocks.z(v.shift)
-    n_groups, length, _, lanes = z.shape
-    n = len(v.F)
-    forcing = (v.G @ z).transpose(1, 2, 0, 3).reshape(length, n, n_groups * lanes)
-    states = np.zeros((length + 1, n, n_groups * lanes))
-    for k in range(length):
-        np.matmul(v.F, states[k], out=states[k + 1])
-        states[k + 1] += forcing[k]
-    return states
-
-
 def scan(transition: FloatArray, values: FloatArray) -> FloatArray:
     """Solve ``x[i] = transition x[i-1] + values[i]`` in place along axis 2 of (n, n_windows, steps, m), by doubling."""
     n, _, steps, _ = values.shape

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,7 +11,6 @@ from gbid.arrays import FloatArray
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.predictor import PredictorValues
 
 # Step of a difference, in units in which the cost has curvature one. It is small, because states with little influence
 # on the outputs amplify errors in their columns. Second: largest step relative to a parameter without influence.
@@ -100,9 +99,7 @@ def exact_columns(
     return columns
 
 
-def _moved(
-    problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray
-) -> tuple[PredictorValues, float]:
+def _moved(problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray) -> tuple[Any, float]:
     """Return the predictor of a part with one own parameter moved within its bounds, and the step."""
     own = np.array(part.own(theta), float)
     onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])

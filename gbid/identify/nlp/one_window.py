@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.blocks import Blocks, cut
-from gbid.identify.kernel.sweep import forced_states, powers_of
+from gbid.identify.kernel.blocks import cut
+from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.predictor import PredictorValues
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
@@ -47,7 +47,7 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
     """Unknowns of a problem at a point of `in_one_window`'s: the windows start where the model passes by."""
     theta, starts = joined.unpack(unknowns)
     passed = [
-        _along(v, part.blocks, starts[a:b])
+        _along(part, v, starts[a:b])
         for v, part, a, b in zip(
             problem.values(theta), problem.parts, joined.first_window[:-1], joined.first_window[1:], strict=True
         )
@@ -55,14 +55,7 @@ def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> Flo
     return problem.pack(theta, np.concatenate(passed))
 
 
-def _along(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+def _along(part: RecordGroup, v: Any, starts: FloatArray) -> FloatArray:
     """State at the start of each window, (n_windows, n), from those of the segments."""
-    forced, transition = forced_states(v, blocks)[-1], powers_of(v.F, blocks.length)[-1]
-    passed = np.zeros((blocks.n_windows, len(transition)))
-    passed[blocks.segment_first] = starts
-    for window in blocks.linked:
-        state = passed[window]
-        for block in range(blocks.window_first[window], blocks.window_first[window] + blocks.window_size[window]):
-            state = transition @ state + forced[:, block]
-        passed[window + 1] = state
-    return passed
+    blocks = part.blocks
+    return part.kernel.begin(v, blocks.by_whole_segments(), starts)[:, blocks.window_first].T

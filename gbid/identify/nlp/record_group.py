@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.block_sums import PassEngine
 from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.general_predictor import GeneralPredictor
+from gbid.identify.kernel.kernel_protocol import Kernel
 from gbid.identify.kernel.sweep import Sweep
-from gbid.identify.predictor import Predictor
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,23 +21,23 @@ class RecordGroup:
 
     Attributes
     ----------
-    predictor : Predictor
+    predictor : GeneralPredictor
         Predictor of all segments.
     blocks : Blocks
         The segments, cut into blocks.
     index : (n_p,) integer array
         Positions of the predictor's parameters in those of the problem.
-    engine : PassEngine
-        Engine of the pass.
+    kernel : Kernel
+        Kernel of the recursion over the blocks.
     tie : (n_own, n_p) array or None
         Matrix of parameters that are linear in those of the problem, ``own = tie @ theta[index]``; None when they are
         equal to those of `index`.
     """
 
-    predictor: Predictor
+    predictor: GeneralPredictor
     blocks: Blocks
     index: IntArray
-    engine: PassEngine
+    kernel: Kernel
     tie: FloatArray | None = None
 
     def own(self, theta: FloatArray) -> FloatArray:
@@ -117,3 +118,20 @@ class Prior(NamedTuple):
 
     mean: FloatArray
     information: FloatArray
+
+
+def tied_limits(parts: Sequence[RecordGroup], theta_scale: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the linear constraints that the bounds of tied parameters are; see `Shooting.limits`."""
+    rows, lower, upper = [], [], []
+    for part in parts:
+        if part.tie is None:
+            continue
+        for q, tie in zip(part.predictor.free, part.tie, strict=True):
+            row = np.zeros(len(theta_scale))
+            row[part.index] = tie * theta_scale[part.index]
+            size = float(np.abs(row).max())
+            if size > 0 and np.isfinite([q.lower, q.upper]).any():
+                rows.append(row / size)
+                lower.append(q.lower / size)
+                upper.append(q.upper / size)
+    return np.array(rows).reshape(-1, len(theta_scale)), np.array(lower), np.array(upper)

@@ -8,19 +8,20 @@ Jacobian and Gauss-Newton Hessian of an iterate.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.sweep import Sweep, residuals, sweep, tied
+from gbid.identify.kernel.growth import spectral_radius
+from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.patterns import Pattern, hessian_pattern, jacobian_pattern
-from gbid.identify.nlp.record_group import Iterate, Prior, RecordGroup
-from gbid.identify.nlp.stability import EDGE, near_instability, spectral_radius
-from gbid.identify.predictor import PredictorValues
+from gbid.identify.nlp.record_group import Iterate, Prior, RecordGroup, tied_limits
+from gbid.identify.nlp.stability import EDGE, near_instability
+from gbid.identify.predictor import Predictor
 
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
@@ -64,7 +65,7 @@ class Shooting:
     prior: Prior
     stable_only: bool = False
     _last: dict[bytes, Iterate] = field(default_factory=dict)
-    _met: dict[bytes, list[PredictorValues]] = field(default_factory=dict)
+    _met: dict[bytes, list[Any]] = field(default_factory=dict)
 
     @property
     def n_theta(self) -> int:
@@ -111,12 +112,12 @@ class Shooting:
         starts = unknowns[self.n_theta :].reshape(self.n_windows, self.n_states) * self.state_scale
         return theta, starts
 
-    def values(self, theta: FloatArray) -> list[PredictorValues]:
+    def values(self, theta: FloatArray) -> list[Any]:
         """Return the predictors of all parts; equal ones are computed once, and the last ones are stored."""
         point = theta.tobytes()
         if point in self._met:
             return self._met[point]
-        met: dict[tuple[int, bytes], PredictorValues] = {}
+        met: dict[tuple[int, bytes], Any] = {}
         result = []
         for part in self.parts:
             own = part.own(theta)
@@ -128,28 +129,28 @@ class Shooting:
         self._met[point] = result
         return result
 
-    def valid_values(self, theta: FloatArray) -> list[PredictorValues] | None:
+    def valid_values(self, theta: FloatArray) -> list[Any] | None:
         """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
         if not all(part.within_bounds(theta) for part in self.parts):
             return None
         values = self.values(theta)
         return None if self.stable_only and self.noise and spectral_radius(values) > 1 else values
 
-    def sweeps(self, values: list[PredictorValues], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
+    def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """Return the sums of one pass over every part, for window starts (n_windows, n)."""
         return [
-            tied(sweep(v, part.blocks, starts[a:b], weight, part.engine), part.tie)
+            tied(part.kernel.sweep(v, part.blocks, starts[a:b], weight), part.tie)
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
-    def errors(self, values: list[PredictorValues], starts: FloatArray) -> list[FloatArray]:
+    def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
         return [
-            residuals(v, part.blocks, starts[a:b], part.engine)
+            part.kernel.predict(v, part.blocks, starts[a:b]).errors
             for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
         ]
 
-    def error_products(self, values: list[PredictorValues], starts: FloatArray) -> FloatArray:
+    def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
         return np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e, optimize=True) for e in self.errors(values, starts)))
 
@@ -187,7 +188,18 @@ class Shooting:
     def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
         """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
         watched = bool(self.noise) and self.stable_only
-        return (watched and near_instability(part.predictor, part.own(theta), EDGE) for part in self.parts)
+        pairs = ((part.predictor, part.own(theta)) for part in self.parts)
+        return (watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
+
+    def rate(self, unknowns: FloatArray) -> float:
+        """Return the largest growth of a small deviation in a sample, over all parts."""
+        values = self.values(self.unpack(unknowns)[0])
+
+        def sweep_of(part: int) -> Callable[[], Sweep | None]:
+            return lambda: self.at(unknowns).sweeps[part] if self.at(unknowns).sweeps else None
+
+        parts = enumerate(zip(self.parts, values, strict=True))
+        return max(part.kernel.growth(v, part.blocks, sweep_of(i), self.state_scale) for i, (part, v) in parts)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -202,19 +214,7 @@ class Shooting:
         (n_limits,) array, (n_limits,) array
             Lower and upper bounds.
         """
-        rows, lower, upper = [], [], []
-        for part in self.parts:
-            if part.tie is None:
-                continue
-            for q, tie in zip(part.predictor.free, part.tie, strict=True):
-                row = np.zeros(self.n_theta)
-                row[part.index] = tie * self.theta_scale[part.index]
-                size = float(np.abs(row).max())
-                if size > 0 and np.isfinite([q.lower, q.upper]).any():
-                    rows.append(row / size)
-                    lower.append(q.lower / size)
-                    upper.append(q.upper / size)
-        return np.array(rows).reshape(-1, self.n_theta), np.array(lower), np.array(upper)
+        return tied_limits(self.parts, self.theta_scale)
 
     @cached_property
     def jacobian_pattern(self) -> Pattern:

@@ -5,20 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.predictor import Predictor, PredictorValues
+from gbid.identify.kernel.growth import spectral_radius
+from gbid.identify.predictor import Predictor
 
 EDGE = 0.02
 """Of the model's own margin: a gain that leaves no more is no estimate."""
 CLEAR = 0.2
 """Of the same: a gain that leaves more can be started from."""
-
-
-def spectral_radius(values: list[PredictorValues]) -> float:
-    """Largest magnitude of the predictors' eigenvalues; infinite where they overflow."""
-    transitions = [v.F for v in values]
-    if not all(np.isfinite(F).all() for F in transitions):
-        return np.inf
-    return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
 
 
 def near_instability(predictor: Predictor, own: FloatArray, share: float) -> bool:

@@ -12,7 +12,6 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.identify.nlp.optimality import distance_from_rest, in_standard_deviations
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.nlp.stability import spectral_radius
 
 Stop = Literal["tolerance", "paper"]
 PAPER_TOLERANCE = 1e-4
@@ -159,8 +158,7 @@ class Watch(ca.Callback):
         return distance_from_rest(self._problem, x, self._box) < _STEP_AHEAD
 
     def _radius(self, x: FloatArray) -> float:
-        theta, _ = self._problem.unpack(x)
-        return spectral_radius(self._problem.values(theta))
+        return self._problem.rate(x)
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:

@@ -14,12 +14,14 @@ from gbid.identify.data import FitData, Record
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.blocks import LANES
 from gbid.identify.kernel.engine import EngineName, RunEngine
+from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nlp.record_group import RecordGroup
-from gbid.identify.predictor import Focus, Predictor, build_predictor
+from gbid.identify.predictor import Focus
+from gbid.identify.problem.either_kind import any_predictor
 from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
 from gbid.identify.problem.ties import Ties, tie_of
 from gbid.operating_point import point_label
-from gbid.structure import Parameter, Structure
+from gbid.structure import AnyStructure, Parameter
 
 Scope = Literal["recording", "operating_point"]
 _WINDOW = {"prediction": 256, "simulation": 128}  # samples; measured outputs stabilise a prediction, so it is longer
@@ -75,7 +77,7 @@ class Assembly:
 
 
 def assemble(
-    structure: Structure,
+    structure: AnyStructure,
     parameters: tuple[Parameter, ...],
     begin: Mapping[str, float],
     data: FitData,
@@ -105,10 +107,11 @@ def assemble(
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
 
     @cache
-    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> Predictor:
-        built = build_predictor(
+    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> GeneralPredictor:
+        built = any_predictor(
             structure,
             held,
+            begin,
             data.sample_time,
             intersample,
             kind,
@@ -166,7 +169,7 @@ def assemble(
     )
 
 
-def _check_channels(structure: Structure, predictor: Predictor, data: FitData) -> None:
+def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, data: FitData) -> None:
     n_inputs, n_outputs = len(data.input_names), len(data.output_names)
     if (predictor.n_inputs, predictor.n_outputs) != (n_inputs, n_outputs):
         raise UsageError(
@@ -203,7 +206,7 @@ def group_name(record: Record, scope: Scope) -> str:
 
 
 def _full_names(
-    predictor: Predictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
+    predictor: GeneralPredictor, record: Record, scopes: Mapping[str, Scope], n_records: int, tied: frozenset[str]
 ) -> dict[str, str]:
     names = {}
     for q in predictor.free:

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import casadi as ca
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.nlp.shooting import Shooting
-from gbid.structure import Parameter, Structure, symbolic_matrices
+from gbid.structure import AnyStructure, Parameter, anatomy
 
 OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
 InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
@@ -49,7 +48,7 @@ class InitialStates:
 
 
 def initial_states(
-    structure: Structure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
+    structure: AnyStructure, parameters: Sequence[Parameter], asked: InitialState, recordings: Sequence[str]
 ) -> InitialStates:
     """Return the initial states that a caller asked for.
 
@@ -71,8 +70,8 @@ def initial_states(
     DataError
         When a free parameter acts only through initial states that are given otherwise.
     """
-    _, m = symbolic_matrices(structure)
-    n, stated = m.A.shape[0], m.x0.numel() > 0
+    own_parts = anatomy(structure)
+    n, stated = own_parts.n_states, bool(own_parts.in_x0)
     if isinstance(asked, str) and asked == "auto":
         asked = "structure" if stated else "estimated"
     own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
@@ -84,10 +83,11 @@ def initial_states(
     values = np.array([[np.nan if isinstance(e, str) else e for e in row] for row in rows], float).reshape(-1, n)
     if released.any() and not stated:
         raise UsageError(
-            f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p)"
+            f"initial_state = 'structure', but structure {structure.name!r} states none; add x0 to its matrices(p), or "
+            "x0=... to a nonlinear structure"
         )
-    seen = ca.veccat(*m[:-1], m.x0[np.flatnonzero(released.any(axis=0)).tolist()] if stated else m.x0)
-    dark = {symbol.name() for symbol in ca.symvar(m.x0)} - {symbol.name() for symbol in ca.symvar(seen)}
+    lit = [own_parts.in_x0[i] for i in np.flatnonzero(released.any(axis=0))]
+    dark = frozenset().union(*own_parts.in_x0) - own_parts.in_equations.union(*lit)
     lost = [q.name for q in parameters if not q.fixed and q.name in dark]
     if lost:
         raise DataError(

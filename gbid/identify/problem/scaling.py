@@ -11,10 +11,10 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.data import FitData
-from gbid.identify.kernel.sweep import forced_states
+from gbid.identify.kernel.growth import spectral_radius
 from gbid.identify.nlp.record_group import Prior
 from gbid.identify.nlp.shooting import Criterion, Shooting
-from gbid.identify.nlp.stability import spectral_radius
+from gbid.identify.predictor import PredictorValues
 from gbid.identify.problem.assembly import Assembly
 from gbid.identify.problem.initial_states import InitialStates
 
@@ -58,7 +58,8 @@ def build_problem(
     problem = Shooting(assembly.parts, assembly.links, criterion, weights, scale, ones, np.ones(n), known)
     values = problem.values(theta)
     squares = [
-        np.mean(forced_states(v, part.blocks) ** 2, axis=(0, 2)) for v, part in zip(values, problem.parts, strict=True)
+        np.mean(part.kernel.passed(v, part.blocks, np.zeros((n, len(part.blocks.size)))).states ** 2, axis=(0, 1, 3))
+        for v, part in zip(values, problem.parts, strict=True)
     ]
     size = np.sqrt(np.max(squares, axis=0))
     sweeps = problem.sweeps(values, np.zeros((problem.n_windows, n)), np.diag(weights) / power)
@@ -77,7 +78,7 @@ def build_problem(
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
     if not scaling:
         theta_scale, state_scale = ones, np.ones(n)
-    stable = spectral_radius(values) <= 1
+    stable = all(isinstance(v, PredictorValues) for v in values) and spectral_radius(values) <= 1
     problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={}, _met={})
     return problem, problem.pack(theta, starts)
 

@@ -12,9 +12,11 @@ from gbid.arrays import FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import Record
 from gbid.identify.kernel.blocks import Segment, cut
-from gbid.identify.kernel.engine import EngineName, RunEngine, choose_engine
+from gbid.identify.kernel.engine import EngineName, RunEngine
+from gbid.identify.kernel.general_predictor import GeneralPredictor
+from gbid.identify.kernel.kernel_protocol import Kernel
 from gbid.identify.nlp.record_group import RecordGroup
-from gbid.identify.predictor import Predictor, PredictorValues
+from gbid.identify.problem.either_kind import choose_kernel
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +27,7 @@ class Stretch:
     is_gap: bool
 
 
-def stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: Predictor) -> list[Stretch]:
+def stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: GeneralPredictor) -> list[Stretch]:
     """Cut a record at what is left out.
 
     Without feedback of the outputs the model runs through and those samples just do not count. With feedback
@@ -69,13 +71,13 @@ class GroupBuilder:
 
     def __init__(self, window: int | None, begin: Mapping[str, float], engine: EngineName) -> None:
         self._window, self._begin, self._engine = window, begin, engine
-        self._groups: dict[_Key, tuple[Predictor, FloatArray | None, list[Segment]]] = {}
+        self._groups: dict[_Key, tuple[GeneralPredictor, FloatArray | None, list[Segment]]] = {}
         self._order: list[tuple[_Key, int]] = []
         self.engine_name: RunEngine = "numpy"
         self.notes: list[str] = []
 
     def add(
-        self, predictor: Predictor, index: tuple[int, ...], segment: Segment, tie: FloatArray | None = None
+        self, predictor: GeneralPredictor, index: tuple[int, ...], segment: Segment, tie: FloatArray | None = None
     ) -> None:
         """Add a segment; `index` and `tie` as in `RecordGroup`."""
         key = (id(predictor), index, b"" if tie is None else tie.tobytes())
@@ -86,30 +88,23 @@ class GroupBuilder:
     def build(self) -> tuple[tuple[RecordGroup, ...], list[tuple[int, int]]]:
         """Return the parts, and first and last window (over all parts) of each segment in the order of adding."""
         parts, windows_of = [], {}
-        engines: dict[int, object] = {}
+        kernels: dict[int, Kernel] = {}
         base = 0
         for key, (predictor, tie, segments) in self._groups.items():
             predictor_id, index, _ = key
-            if predictor_id not in engines:
-                chosen = choose_engine(self._engine, self._samples(predictor))
-                engines[predictor_id] = chosen.run
+            if predictor_id not in kernels:
+                chosen = choose_kernel(self._engine, predictor, self._begin)
+                kernels[predictor_id] = chosen.kernel
                 self.engine_name = chosen.name
-                self.notes += [chosen.note] if chosen.note else []
+                self.notes += chosen.notes
             blocks = cut(segments, predictor, self._window)
-            part = RecordGroup(predictor, blocks, np.array(index), engines[predictor_id], tie)  # type: ignore[arg-type]
+            part = RecordGroup(predictor, blocks, np.array(index), kernels[predictor_id], tie)
             parts.append(part)
             ends = np.append(blocks.segment_first[1:], blocks.n_windows) - 1
             for i, (a, b) in enumerate(zip(blocks.segment_first, ends, strict=True)):
                 windows_of[key, i] = (base + int(a), base + int(b))
             base += blocks.n_windows
         return tuple(parts), [windows_of[item] for item in self._order]
-
-    def _samples(self, predictor: Predictor) -> list[PredictorValues]:
-        """Evaluate the predictor at the start and at a point where nothing is zero by chance."""
-        theta = np.array([self._begin.get(q.name, 0.0) for q in predictor.free])
-        nudged = np.where(theta == 0, 1e-3, theta * 1.001)
-        nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
-        return [predictor.at(theta), predictor.at(nudged)]
 
 
 def links_of(windows: list[tuple[int, int]], counts: list[int]) -> IntArray:

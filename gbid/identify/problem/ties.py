@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.predictor import Predictor
+from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.structure import Parameter
 
 
@@ -40,13 +40,13 @@ class Ties:
 
 
 def tie_of(
-    predictor: Predictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, record: int
+    predictor: GeneralPredictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, record: int
 ) -> tuple[tuple[int, ...], FloatArray]:
     """Unknowns that one record sees, and the matrix from them to its predictor's parameters.
 
     Parameters
     ----------
-    predictor : Predictor
+    predictor : GeneralPredictor
     names : dict of str to str
         Full names of its parameters that are not tied, and of what it has for itself.
     position : dict of str to int

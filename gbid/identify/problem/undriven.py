@@ -10,16 +10,33 @@ import numpy as np
 
 from gbid.errors import DataError
 from gbid.identify.data import FitData
-from gbid.structure import LinearStructure, Parameter, Structure, symbolic_matrices
+from gbid.structure import AnyStructure, LinearStructure, NonlinearStructure, Parameter, anatomy
 
 
-def without_inputs(structure: Structure) -> Structure:
+def without_inputs(structure: AnyStructure) -> AnyStructure:
     """Return a structure without its inputs, for free decays: the states, outputs and the disturbance gain remain."""
-    if not symbolic_matrices(structure)[1].B.shape[1]:
+    if not anatomy(structure).n_inputs:
         return structure
+    if isinstance(structure, NonlinearStructure):
+        full, still = structure, ca.SX.zeros(len(structure.inputs))
+        return NonlinearStructure(
+            full.name,
+            full.parameters,
+            full.states,
+            lambda x, _, p: full.dynamics(x, still, p),
+            lambda x, _, p: full.output(x, still, p),
+            (),
+            full.outputs,
+            intersample=full.intersample,
+            disturbance_gain=full.disturbance_gain,
+            x0=full.x0,
+            integrator=full.integrator,
+            steps=full.steps,
+        )
+    linear = structure
 
     def matrices(p: Any) -> Mapping[str, Any]:
-        own = structure.matrices(p)
+        own = linear.matrices(p)
         return {letter: own[letter] for letter in ("A", "C", "K", "x0") if letter in own}
 
     return LinearStructure(
@@ -28,7 +45,7 @@ def without_inputs(structure: Structure) -> Structure:
 
 
 def check_inputs_suffice(
-    structure: Structure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
+    structure: AnyStructure, data: FitData, parameters: Sequence[Parameter], *, no_inputs: bool
 ) -> None:
     """Check that no free parameter acts only through inputs that do not move.
 
@@ -54,8 +71,8 @@ def check_inputs_suffice(
     still = np.all([np.ptp(record.inputs, axis=0) == 0 for record in data.records], axis=0)
     if not (still.any() or no_inputs):
         return
-    _, m = symbolic_matrices(structure)
-    n_u = m.B.shape[1]
+    whole = anatomy(structure)
+    n_u = whole.n_inputs
     if no_inputs:
         zero = still = np.ones(n_u, bool)
     elif n_u == len(data.input_names):
@@ -63,9 +80,8 @@ def check_inputs_suffice(
     else:
         return  # another check reports the number of inputs
     driven, moving = np.flatnonzero(~zero).tolist(), np.flatnonzero(~still).tolist()
-    acting = [m.A, m.C, m.K, m.x0, m.B[:, driven], m.D[:, driven], m.B_delayed[:, driven]]
-    acting += [m.delay[moving, :]] if m.has_delay else []
-    dark = _names(m) - _names(acting)
+    begins = frozenset().union(*whole.in_x0)
+    dark = (whole.in_equations | begins) - (anatomy(structure, driven, moving).in_equations | begins)
     lost = [q.name for q in parameters if not q.fixed and q.name in dark]
     if lost:
         quiet = ", ".join(name for name, rests in zip(data.input_names, still, strict=False) if rests)
@@ -85,7 +101,3 @@ def decay_notes(data: FitData) -> tuple[str, ...]:
         for name, column in zip(data.input_names, record.inputs.T, strict=True)
         if np.ptp(column) == 0
     )
-
-
-def _names(matrices: Sequence[ca.SX]) -> set[str]:
-    return {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))}

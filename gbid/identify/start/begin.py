@@ -76,7 +76,7 @@ def begin_values(
     notes: tuple[str, ...] = ()
     missing = [q.name for q in parameters if q.name not in stated]
     if missing and not has_own_method(structure) and hasattr(structure, "matrices"):
-        own = structure if data.input_names else without_inputs(structure)
+        own: Any = structure if data.input_names else without_inputs(structure)
         found = subspace_start(own, data, parameters, intersample)
         values = {**found.values, **stated}
         notes = (_note(found, missing),)

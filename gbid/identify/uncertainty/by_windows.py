@@ -9,17 +9,15 @@ The coordinates stand for the initial states. The covariance of the parameters d
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.sparse import bmat, csc_array, eye_array
 from scipy.sparse.linalg import splu
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
-from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.nlp.stability import spectral_radius
-from gbid.identify.predictor import PredictorValues
 from gbid.identify.uncertainty.information import Information
 from gbid.identify.uncertainty.sensitivities import RecordSensitivities
 
@@ -85,7 +83,7 @@ def windowed_records(
     """
     n, n_p = problem.n_states, problem.n_theta
     slopes = [
-        window_slopes(v, part.blocks, starts[a:b])
+        window_slopes(part, v, starts[a:b])
         for v, part, a, b in zip(
             problem.values(theta), problem.parts, problem.first_window[:-1], problem.first_window[1:], strict=True
         )
@@ -115,43 +113,36 @@ def windowed_records(
         yield WindowedRecord(np.concatenate(psi), np.concatenate(errors), np.concatenate(counted))
 
 
-def window_slopes(v: PredictorValues, blocks: Blocks, starts: FloatArray) -> WindowSlopes:
-    """Return the sensitivities within each window, by simulation of all windows side by side.
+def window_slopes(part: RecordGroup, v: Any, starts: FloatArray) -> WindowSlopes:
+    """Return the sensitivities within each window.
 
     Parameters
     ----------
-    v : PredictorValues
-        Predictor at the estimate.
-    blocks : Blocks
-        Samples of the part.
+    part : RecordGroup
+        Part of the problem.
+    v
+        Its predictor at the estimate.
     starts : (n_windows, n) array
         States at the starts of its windows.
     """
-    n, n_own, n_y = len(v.F), len(v.dF), len(v.C)
-    n_windows, length = blocks.n_windows, blocks.length
+    blocks, kernel = part.blocks, part.kernel
+    n_windows, n_y = blocks.n_windows, blocks.y.shape[2]
     place, own_blocks = blocks.by_window
+    (traced,) = kernel.trace(v, blocks, starts, [np.eye(n_y)])
+    prediction, linked = kernel.passed(v, blocks, traced.begin), traced.linked
+    flat = kernel.sensitivities(v, blocks, prediction, linked, slice(0, blocks.n_blocks))
+    psi = flat.reshape(n_y, -1, blocks.n_blocks, blocks.length)[:, :, place].transpose(2, 3, 4, 0, 1)
 
     def rows(values: FloatArray) -> FloatArray:
         """Return values (n_groups, length, n, lanes) as (n_windows, n_samples, n)."""
-        flat = values.transpose(0, 3, 1, 2).reshape(-1, length, values.shape[2])
+        flat = values.transpose(0, 3, 1, 2).reshape(-1, blocks.length, values.shape[2])
         return np.asarray(flat[place].reshape(n_windows, -1, values.shape[2]))
 
-    z, y, used = rows(blocks.z(v.shift)), rows(blocks.y), rows(blocks.used[:, :, None])[:, :, 0] > 0
-    used &= np.repeat(own_blocks, length, axis=1)
+    used = rows(blocks.used[:, :, None])[:, :, 0] > 0
+    used &= np.repeat(own_blocks, blocks.length, axis=1)
     size = np.where(own_blocks, blocks.size[place], 0).sum(axis=1)
-    x, S = starts.copy(), np.zeros((n_windows, n, n_own + n))
-    S[:, :, n_own:] = np.eye(n)
-    end = S.copy()
-    psi, errors = np.zeros((n_windows, z.shape[1], n_y, n_own + n)), np.zeros(y.shape)
-    for k in range(z.shape[1]):
-        psi[:, k] = v.C @ S
-        psi[:, k, :, :n_own] += np.einsum("pyn,wn->wyp", v.dC, x) + np.einsum("pyz,wz->wyp", v.dH, z[:, k])
-        errors[:, k] = y[:, k] - x @ v.C.T - z[:, k] @ v.H.T
-        S = v.F @ S
-        S[:, :, :n_own] += np.einsum("pmn,wn->wmp", v.dF, x) + np.einsum("pmz,wz->wmp", v.dG, z[:, k])
-        x = x @ v.F.T + z[:, k] @ v.G.T
-        end[size == k + 1] = S[size == k + 1]
-    return WindowSlopes(psi, errors, used, size, end)
+    end = np.concatenate([linked.end_theta, linked.end_start], axis=2)
+    return WindowSlopes(psi.reshape(n_windows, -1, n_y, end.shape[2]), rows(prediction.errors), used, size, end)
 
 
 def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray, known: BoolArray) -> FloatArray:
@@ -219,8 +210,8 @@ def information_by_windows(
     return Information(hessians[0], hessians[1], None, iter(sensitivities))
 
 
-def grows(problem: Shooting, theta: FloatArray) -> bool:
+def grows(problem: Shooting, theta: FloatArray, starts: FloatArray) -> bool:
     """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
     longest = max(segment.outputs.shape[0] for part in problem.parts for segment in part.blocks.segments)
-    rate = spectral_radius(problem.values(theta))
+    rate = problem.rate(problem.pack(theta, starts))
     return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))

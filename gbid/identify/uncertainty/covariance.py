@@ -121,7 +121,7 @@ def covariance(
     share = float(np.trace(shaped)) / float(np.trace(weight))
     # Weighted by the inverse of the covariance of the errors, one pass gives both.
     alike = np.allclose(shaped, share * weight, rtol=1e-9, atol=1e-9 * share * float(np.abs(weight).max()))
-    if grows(problem, theta):
+    if grows(problem, theta, starts):
         found = information_by_windows(problem, theta, starts, record_window, weight, shaped, known_starts=settled)
     else:
         found = information_over_records(

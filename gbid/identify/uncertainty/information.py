@@ -8,23 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.block_sums import BlockSums, PassEngine
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
-from gbid.identify.kernel.sweep import (
-    Linked,
-    Sweep,
-    block_sums,
-    joined,
-    link,
-    powers_of,
-    start_hessians,
-    starts_of_blocks,
-)
+from gbid.identify.kernel.kernel_protocol import Traced
+from gbid.identify.kernel.sweep import Sweep
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.predictor import PredictorValues
 from gbid.identify.uncertainty.sensitivities import RecordSensitivities, joined_segments, of_segment
 
 _BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
@@ -64,15 +54,6 @@ class RecordInformation(NamedTuple):
 
     hessian: FloatArray
     scores: FloatArray
-
-
-class _Pass(NamedTuple):
-    """Pass over segments, each one window: the starts of blocks, sums, and how the blocks are linked."""
-
-    begin: FloatArray
-    sums: Sweep
-    linked: Linked
-    by_block: BlockSums
 
 
 def information_over_records(
@@ -124,7 +105,7 @@ def information_over_records(
     for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
         cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
         begin = starts[first + part.blocks.segment_first]
-        passes.append(_run(v, cuts[-1], part.engine, begin, weights))
+        passes.append(part.kernel.trace(v, cuts[-1], begin, weights))
     _follow_segments(problem, [own[0].sums for own in passes], chains)
     gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
     exact = _exact(problem, theta, starts, [own[0].sums for own in passes], weight) if observed else []
@@ -170,7 +151,7 @@ def record_information(
         for segment, window in zip(part.blocks.segments, part.blocks.segment_first, strict=True):
             length = min(max(len(segment.outputs) // _BLOCKS, _SHORTEST), LONGEST_BLOCK)
             blocks = cut([segment], part.predictor, None, longest_block=length)
-            (own,) = _run(v, blocks, part.engine, starts[first + window][None], [weight])
+            (own,) = part.kernel.trace(v, blocks, starts[first + window][None], [weight])
             mixed = own.sums.hessian_mixed[0]
             found[int(first + window)] = RecordInformation(
                 np.block([[own.sums.hessian, mixed], [mixed.T, own.sums.hessian_start[0]]]),
@@ -192,21 +173,7 @@ def profiled(information: RecordInformation, kept: IntArray) -> RecordInformatio
     )
 
 
-def _run(
-    v: PredictorValues, blocks: Blocks, engine: PassEngine, starts: FloatArray, weights: Sequence[FloatArray]
-) -> list[_Pass]:
-    """Run a pass for each weight from the starts of the segments, (n_segments, n); blocks are equal in all passes."""
-    powers = powers_of(v.F, blocks.length)
-    begin = starts_of_blocks(v, blocks, starts, powers[-1], engine)
-    found = []
-    for weight in weights:
-        sums, free = block_sums(v, blocks, begin, weight, powers, engine)
-        linked = link(blocks, sums.end_theta, powers)
-        found.append(_Pass(begin, joined(blocks, sums, start_hessians(blocks, free), linked), linked, sums))
-    return found
-
-
-def _scores(own: _Pass) -> FloatArray:
+def _scores(own: Traced) -> FloatArray:
     """Return the gradient of each block by the parameters and the start of its window."""
     live = slice(0, int(own.linked.by_theta.shape[0]))
     by_start = own.by_block.gradient_start[live][:, None, :]
@@ -218,7 +185,7 @@ def _sensitivities(
     problem: Shooting,
     theta: FloatArray,
     cuts: Sequence[Blocks],
-    passes: Sequence[_Pass],
+    passes: Sequence[Traced],
     chains: dict[int, tuple[FloatArray, int]],
 ) -> Iterator[RecordSensitivities]:
     """Make the sensitivities of one record after the other; those of all records would fill the memory."""
@@ -229,13 +196,16 @@ def _sensitivities(
             of_record.setdefault(chains[at][1], []).append((at, k, i))
     values = problem.values(theta)
     predictions = [
-        part.engine.predict(v, blocks, own.begin)
+        part.kernel.passed(v, blocks, own.begin)
         for v, part, blocks, own in zip(values, problem.parts, cuts, passes, strict=True)
     ]
     for record in sorted(of_record):
         segments, feedback = [], None
         for at, k, i in sorted(of_record[record]):
-            own, part = of_segment(values[k], cuts[k], predictions[k], passes[k].linked, i), problem.parts[k]
+            own, part = (
+                of_segment(problem.parts[k].kernel, values[k], cuts[k], predictions[k], passes[k].linked, i),
+                problem.parts[k],
+            )
             segments.append((own, part.index, chains[at][0]))
             if part.predictor.feeds_back and part.predictor.horizon == 1:
                 feedback = values[k], part.index

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.kernel.block_sums import Prediction
 from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.kernel_protocol import Kernel
 from gbid.identify.kernel.sweep import Linked
 from gbid.identify.predictor import PredictorValues
 
@@ -48,14 +49,16 @@ class SegmentSensitivities(NamedTuple):
 
 
 def of_segment(
-    v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, segment: int
+    kernel: Kernel, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, segment: int
 ) -> SegmentSensitivities:
     """Return the sensitivities of one segment of a part.
 
     Parameters
     ----------
-    v : PredictorValues
-        Predictor of the part.
+    kernel : Kernel
+        Kernel of the part.
+    v
+        Its predictor at the parameters.
     blocks : Blocks
         The segments of the part, each as one window.
     prediction : Prediction
@@ -69,54 +72,21 @@ def of_segment(
     -------
     SegmentSensitivities
         Sensitivities, errors, and which samples count.
-
-    Notes
-    -----
-    The recursion is that of `gbid.identify.kernel.sweep`, for all blocks of the segment together.
     """
     first = int(blocks.window_first[segment])
     stop = first + int(blocks.window_size[segment])
-    n_y, m = len(v.C), len(v.dF) + len(v.F)
+    n_y = blocks.y.shape[2]
+    m = linked.by_theta.shape[2] + linked.by_start.shape[2]
     psi = np.empty((n_y * m, stop - first, blocks.length))
     for begin in range(first, stop, _AT_ONCE):
         own = slice(begin, min(begin + _AT_ONCE, stop))
-        psi[:, begin - first : own.stop - first] = _of_blocks(v, blocks, prediction, linked, own)
+        psi[:, begin - first : own.stop - first] = kernel.sensitivities(v, blocks, prediction, linked, own)
     n_samples = int(blocks.size[first:stop].sum())
     return SegmentSensitivities(
         psi.reshape(n_y, m, -1)[:, :, :n_samples],
         blocks.by_segment(prediction.errors)[segment],
         blocks.by_segment(blocks.used[:, :, None])[segment][:, 0] > 0,
     )
-
-
-def _of_blocks(v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice) -> FloatArray:
-    """Return the sensitivities of some blocks, (n_y * m, n_blocks, length); few at once stay in the cache."""
-
-    def taken(values: FloatArray) -> FloatArray:
-        """Return these blocks, (length, n, n_blocks), of values in groups."""
-        groups = slice(own.start // blocks.lanes, -(-own.stop // blocks.lanes))
-        rows = values[groups].transpose(1, 2, 0, 3).reshape(blocks.length, values.shape[2], -1)
-        skipped = groups.start * blocks.lanes
-        return rows[:, :, own.start - skipped : own.stop - skipped]
-
-    n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
-    m = n_p + n
-    driving = np.concatenate([taken(prediction.states), taken(blocks.z(v.shift))], axis=1)
-    onto_state, onto_output = np.zeros((n, m, driving.shape[1])), np.zeros((n_y, m, driving.shape[1]))
-    onto_state[:, :n_p] = np.concatenate([v.dF, v.dG], axis=2).transpose(1, 0, 2)
-    onto_output[:, :n_p] = np.concatenate([v.dC, v.dH], axis=2).transpose(1, 0, 2)
-    history = np.empty((length + 1, n, m, own.stop - own.start))
-    history[0, :, :n_p] = linked.by_theta[own].transpose(1, 2, 0)
-    history[0, :, n_p:] = linked.by_start[own].transpose(1, 2, 0)
-    np.matmul(onto_state.reshape(n * m, -1), driving, out=history[1:].reshape(length, n * m, -1))
-    flat = history.reshape(length + 1, n, -1)
-    for k in range(length):
-        flat[k + 1] += v.F @ flat[k]
-    psi = (v.C @ flat[:-1]).reshape(length, n_y * m, -1)
-    if onto_output.any():
-        psi += onto_output.reshape(n_y * m, -1) @ driving
-    psi *= taken(blocks.used[:, :, None])
-    return psi.transpose(1, 2, 0)
 
 
 def joined_segments(

@@ -27,10 +27,11 @@ from gbid.lpv.direct.solve import DirectSolution, How, solve_for
 from gbid.lpv.direct.uncertainty import CoefficientUncertainty, uncertainty
 from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
 from gbid.lpv.surface_fit.estimates import Estimates
-from gbid.lpv.surface_fit.fit_lpv import in_own_units, rectangle
+from gbid.lpv.surface_fit.fit_lpv import of_all_terms, rectangle
 from gbid.lpv.surface_fit.lpv_fit import LPVFit, with_coefficients
 from gbid.lpv.surface_fit.order import lack_of_fit
 from gbid.lpv.surface_fit.outliers import outliers, standardised
+from gbid.lpv.surface_fit.regression import in_own_units
 from gbid.lpv.surface_fit.terms import distinct_points
 from gbid.operating_point import point_label
 from gbid.recording import Recording
@@ -191,7 +192,7 @@ def _result(
             operating_points=tuple((float(p), float(w)) for p, w in distinct_points(setting.points)),
             actuators=actuators,
         ),
-        in_own_units(covariance[:m, :m], setting.design.back, setting.exponents),
+        of_all_terms(in_own_units(covariance[:m, :m], setting.design.back), setting.exponents),
         S,
         estimates,
         outliers(names, residuals, standardised(residuals, estimates.covariance + S)),

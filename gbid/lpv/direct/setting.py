@@ -13,7 +13,7 @@ from gbid.identify.predictor import noise_names
 from gbid.identify.problem.ties import Ties
 from gbid.lpv.basis import EXPONENTS
 from gbid.lpv.model import LPVModel
-from gbid.lpv.surface_fit.fit_lpv import kron_designs
+from gbid.lpv.surface_fit.regression import kron_designs
 from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, orthonormal
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, Parameter, Structure

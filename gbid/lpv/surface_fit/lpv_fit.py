@@ -14,16 +14,16 @@ from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify import FitStatus
-from gbid.lpv.basis import TERMS, regressors
+from gbid.lpv.basis import regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
 from gbid.lpv.model import LPVModel
+from gbid.lpv.surface_fit.coefficients import TRIES, covariance_at, draws
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.structure import KEY_PARAMETERS
 
 _LACK = Stored("1", "probability that right surfaces miss the points' means as far", "k")
-_TRIES = 20  # largest number of draws for each requested model
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,10 +132,7 @@ class LPVFit(Brief):
             When a point lies outside the domain and `extrapolate` is not set.
         """
         self.model.domain.check(pressure_bar, speed_rpm, f"model {self.model.name!r}", extrapolate)
-        phi = regressors(pressure_bar, speed_rpm)
-        blocks = self.covariance.reshape(len(KEY_PARAMETERS), len(TERMS), len(KEY_PARAMETERS), len(TERMS))
-        found = np.einsum("...i,aibj,...j->...ab", phi, blocks, phi, optimize=True)
-        return np.asarray(found + self.scatter if scatter else found)
+        return covariance_at(regressors(pressure_bar, speed_rpm), self.covariance, self.scatter if scatter else None)
 
     def draw(self, n: int, seed: int, *, scatter: bool = False) -> list[LPVModel]:
         """Return random models from the distribution of the coefficients.
@@ -159,23 +156,17 @@ class LPVFit(Brief):
         UsageError
             When almost all draws are rejected, because the delays are too uncertain.
         """
-        rng = np.random.default_rng(seed)
-        root = _root(self.covariance)
-        lift = _root(self.scatter)
         corners = [(p, w) for p in self.model.domain.pressure_bar for w in self.model.domain.speed_rpm]
         phi = regressors(*np.array([*corners, *self.model.operating_points]).T)
         drawn: list[LPVModel] = []
-        for _ in range(_TRIES * n):
-            if len(drawn) == n:
-                break
-            coefficients = self.coefficients + (root @ rng.normal(size=root.shape[1])).reshape(-1, len(TERMS))
-            if scatter:
-                coefficients[:, 0] += lift @ rng.normal(size=lift.shape[1])
+        for coefficients in draws(self.coefficients, self.covariance, self.scatter if scatter else None, n, seed):
             if (phi @ coefficients[-2:].T > 0).all():
                 drawn.append(with_coefficients(self.model, coefficients, name=f"{self.model.name} {len(drawn) + 1}"))
+            if len(drawn) == n:
+                break
         if len(drawn) < n:
             raise UsageError(
-                f"model {self.model.name!r}: {len(drawn)} of {_TRIES * n} draws have positive delays in the domain; "
+                f"model {self.model.name!r}: {len(drawn)} of {TRIES * n} draws have positive delays in the domain; "
                 "the delays are too uncertain to draw from (fix them in the fits, or record longer)"
             )
         return drawn
@@ -185,11 +176,3 @@ def with_coefficients(model: LPVModel, coefficients: FloatArray, **changes: Any)
     """Return a copy of a model with other coefficients (14, 6)."""
     rows = {key: tuple(row) for key, row in zip(KEY_PARAMETERS, coefficients.tolist(), strict=True)}
     return replace(model, coefficients=rows, **changes)
-
-
-def _root(covariance: FloatArray) -> FloatArray:
-    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
-    size = np.sqrt(np.diag(covariance))
-    scale = np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])

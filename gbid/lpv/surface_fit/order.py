@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -12,6 +13,7 @@ from gbid.arrays import FloatArray
 from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
+from gbid.lpv.basis import SCHEDULING
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
 
 
@@ -38,15 +40,19 @@ class OrderScore(Brief):
     why_not: str = ""
 
 
-def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, ...]:
+def compare_orders(
+    points: FloatArray, values: FloatArray, scheduling: Sequence[str] = SCHEDULING
+) -> tuple[OrderScore, ...]:
     """Return the scores of the orders 0 to 3, by leave-one-operating-point-out cross-validation.
 
     Parameters
     ----------
-    points : (n, 2) array
-        Pressure [bar] and speed [rpm].
+    points : (n, n_variables) array
+        Operating points.
     values : (n, k) array
-        Estimates, SI per kg.
+        Estimates.
+    scheduling : sequence of str
+        Names of the scheduling variables, for messages.
 
     Returns
     -------
@@ -56,7 +62,7 @@ def compare_orders(points: FloatArray, values: FloatArray) -> tuple[OrderScore, 
     lowest = np.nan
     for order in range(HIGHEST_ORDER + 1):
         try:
-            rms = _left_out(points, values, exponents_of(order))
+            rms = _left_out(points, values, exponents_of(order, points.shape[1]), scheduling)
         except DataError as error:
             scores.append(OrderScore(order, np.full(values.shape[1], np.nan), np.nan, str(error)))
             continue
@@ -80,7 +86,9 @@ def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
     return min(possible, key=lambda s: s.score).order
 
 
-def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
+def lack_of_fit(
+    points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING
+) -> FloatArray:
     """Return the p-value of the lack-of-fit test of the surfaces, (k,).
 
     This is the classical F test: the deviation of the means of the operating points from the surface is compared with
@@ -93,7 +101,7 @@ def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) ->
         return np.full(values.shape[1], np.nan)
     counts = np.bincount(group)[:, None]
     means = np.stack([np.bincount(group, column) for column in values.T], axis=-1) / counts
-    Q = orthonormal(points, exponents).columns
+    Q = orthonormal(points, exponents, scheduling).columns
     surface = Q @ np.linalg.lstsq(Q, values, rcond=None)[0]
     pure = ((values - means[group]) ** 2).sum(axis=0) / (n - n_points)
     missed = ((means[group] - surface) ** 2).sum(axis=0) / (n_points - len(exponents))
@@ -101,15 +109,15 @@ def lack_of_fit(points: FloatArray, values: FloatArray, exponents: Exponents) ->
     return np.asarray(fdtrc(n_points - len(exponents), n - n_points, ratio))
 
 
-def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents) -> FloatArray:
+def _left_out(points: FloatArray, values: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> FloatArray:
     distinct, group = np.unique(points, axis=0, return_inverse=True)
     group = group.ravel()
-    check_points(points, exponents)
-    columns = orthonormal(points, exponents).columns
+    check_points(points, exponents, scheduling)
+    columns = orthonormal(points, exponents, scheduling).columns
     errors = np.empty_like(values)
     for i in range(len(distinct)):
         out = group == i
-        check_points(points[~out], exponents)
+        check_points(points[~out], exponents, scheduling)
         found = np.linalg.lstsq(columns[~out], values[~out], rcond=None)[0]
         errors[out] = values[out] - columns[out] @ found
     return np.asarray(np.sqrt(np.mean(errors**2, axis=0)))

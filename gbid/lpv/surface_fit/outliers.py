@@ -27,12 +27,12 @@ _ROUNDS, _SETTLED = 30, 1e-2  # of a standard deviation
 
 @dataclass(frozen=True)
 class Outlier:
-    """Recording far from the surface of one key parameter.
+    """Recording far from the surface of one parameter.
 
     Attributes
     ----------
     recording, parameter : str
-        Names of the recording and of the key parameter.
+        Names of the recording and of the parameter.
     deviation : float
         Estimate minus surface, SI per kg.
     standardised : float
@@ -67,11 +67,13 @@ def threshold(count: int) -> float:
     return max(_LEAST, float(-ndtri(_FALSE_ALARM / (2 * count))))
 
 
-def outliers(recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray) -> tuple[Outlier, ...]:
-    """Return the entries of (n, 14) arrays beyond the threshold, the largest first."""
+def outliers(
+    recordings: tuple[str, ...], residuals: FloatArray, z: FloatArray, parameters: tuple[str, ...] = KEY_PARAMETERS
+) -> tuple[Outlier, ...]:
+    """Return the entries of (n, k) arrays beyond the threshold, the largest first."""
     limit = threshold(z.size)
     found = [
-        Outlier(recordings[i], KEY_PARAMETERS[j], float(residuals[i, j]), float(z[i, j]))
+        Outlier(recordings[i], parameters[j], float(residuals[i, j]), float(z[i, j]))
         for i, j in zip(*np.nonzero(np.abs(z) > limit), strict=True)
     ]
     return tuple(sorted(found, key=lambda o: -abs(o.standardised)))

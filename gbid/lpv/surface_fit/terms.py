@@ -1,18 +1,21 @@
-"""Terms over pressure and speed as well-conditioned regressors, and whether operating points determine them."""
+"""Terms over the scheduling variables as well-conditioned regressors, and whether operating points determine them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from itertools import combinations_with_replacement
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.lpv.basis import EXPONENTS, TERMS
+from gbid.lpv.basis import EXPONENTS, SCHEDULING, TERMS
 
-Exponents = tuple[tuple[int, int], ...]
-HIGHEST_ORDER = 3  # highest order that is compared; the model itself has the six terms of Eq. 16 only
+Exponents = tuple[tuple[int, ...], ...]
+Order = int | Literal["auto"] | Sequence[str]
+HIGHEST_ORDER = 3  # highest order that is compared; the model of a gas bearing has the six terms of Eq. 16 only
+_PLURAL = dict(zip(SCHEDULING, ("pressures", "speeds"), strict=True))
 _DARK = 1e-9  # terms are not determined when a singular value is below this share of the largest
 
 
@@ -31,46 +34,62 @@ class Orthonormal(NamedTuple):
     back: FloatArray
 
 
-def exponents_of(order: int) -> Exponents:
-    """Return the powers of (P, Omega) up to a total order; up to order 2 in the order of `gbid.lpv.TERMS`."""
-    higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
-    return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
+def exponents_of(order: int, n_variables: int = 2) -> Exponents:
+    """Return the powers of the scheduling variables up to a total order; for two in the order of `gbid.lpv.TERMS`."""
+    if n_variables == 2:
+        higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
+        return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
+    chosen = (c for total in range(order + 1) for c in combinations_with_replacement(range(n_variables), total))
+    return tuple(tuple(c.count(i) for i in range(n_variables)) for c in chosen)
 
 
-def chosen_exponents(order: int | Sequence[str]) -> Exponents:
-    """Return the powers of (P, Omega) of an order 0 to 2, or of terms by name.
+def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCHEDULING) -> Exponents:
+    """Return the powers of the scheduling variables of an order, or of terms by name.
+
+    Parameters
+    ----------
+    order : int or sequence of str
+        Order 0 to 2 for a gas bearing, 0 to 3 for other scheduling variables, or names of terms.
+    scheduling : sequence of str
+        Names of the scheduling variables.
 
     Raises
     ------
     UsageError
-        When the model does not have this order or term.
+        When there is no such order or term.
     """
+    highest = 2 if tuple(scheduling) == SCHEDULING else HIGHEST_ORDER
+    there = exponents_of(highest, len(scheduling))
+    names = [term_name(e, scheduling) for e in there]
+    orders = ", ".join(map(str, range(highest + 1)))
     if isinstance(order, int):
-        if isinstance(order, bool) or not 0 <= order <= 2:
-            raise UsageError(f"order = {order}; choose 0, 1, 2, 'auto', or terms out of {', '.join(TERMS)}")
-        return exponents_of(order)
-    names = (order,) if isinstance(order, str) else tuple(order)
-    unknown = [name for name in names if name not in TERMS]
-    if unknown or not names or len(set(names)) < len(names):
+        if isinstance(order, bool) or not 0 <= order <= highest:
+            raise UsageError(f"order = {order}; choose {orders}, 'auto', or terms out of {', '.join(names)}")
+        return exponents_of(order, len(scheduling))
+    chosen = (order,) if isinstance(order, str) else tuple(order)
+    unknown = [name for name in chosen if name not in names]
+    if unknown or not chosen or len(set(chosen)) < len(chosen):
         problem = f"{unknown[0]!r} is not a term" if unknown else "give each term once, and at least one"
-        raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(TERMS)}, or 0, 1, 2, 'auto'")
-    return tuple(EXPONENTS[TERMS.index(name)] for name in sorted(names, key=TERMS.index))
+        raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(names)}, or {orders}, 'auto'")
+    return tuple(there[names.index(name)] for name in sorted(chosen, key=names.index))
 
 
 def monomials(points: FloatArray, exponents: Exponents) -> FloatArray:
-    """Return the columns ``P^i Omega^j`` of points (n, 2) in bar and rpm, shape (n, n_terms)."""
-    return np.stack([points[:, 0] ** i * points[:, 1] ** j for i, j in exponents], axis=-1)
+    """Return the columns ``P^i Omega^j ...`` of points (n, n_variables) in their own units, shape (n, n_terms)."""
+    return np.stack([np.prod(points**e, axis=-1) for e in exponents], axis=-1)
 
 
-def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
+def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> Orthonormal:
     """Return terms that are orthogonal over the points, because the numbers in bar and rpm differ by large factors.
 
     Parameters
     ----------
-    points : (n, 2) array
-        Pressure [bar] and speed [rpm].
-    exponents : tuple of (int, int)
-        Powers of (P, Omega) of each term.
+    points : (n, n_variables) array
+        Operating points.
+    exponents : tuple of tuple of int
+        Powers of the scheduling variables in each term.
+    scheduling : sequence of str
+        Names of the scheduling variables, for messages.
 
     Returns
     -------
@@ -81,7 +100,7 @@ def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
     DataError
         When there are fewer operating points than terms, or when they do not determine the terms.
     """
-    check_points(points, exponents)
+    check_points(points, exponents, scheduling)
     raw = monomials(points, exponents)
     size = np.linalg.norm(raw, axis=0)
     Q, R = np.linalg.qr(raw / size)
@@ -91,9 +110,9 @@ def orthonormal(points: FloatArray, exponents: Exponents) -> Orthonormal:
     return Orthonormal(Q * (sign * root), back)
 
 
-def check_points(points: FloatArray, exponents: Exponents) -> None:
+def check_points(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> None:
     """Refuse operating points that do not determine the terms; see `orthonormal`."""
-    names = [term_name(e) for e in exponents]
+    names = [term_name(e, scheduling) for e in exponents]
     distinct = distinct_points(points)
     if len(distinct) < len(exponents):
         raise DataError(
@@ -115,7 +134,7 @@ def check_points(points: FloatArray, exponents: Exponents) -> None:
         together = ", ".join(name for name, v in zip(names, involved, strict=True) if v > 1e-3)
         levels = "; ".join(
             f"{len(np.unique(distinct[:, i]))} {what} ({', '.join(f'{v:g}' for v in np.unique(distinct[:, i])[:8])})"
-            for i, what in enumerate(("pressures", "speeds"))
+            for i, what in enumerate(_PLURAL.get(name, f"values of {name}") for name in scheduling)
         )
         raise DataError(
             f"operating points do not determine {together} separately: there are {levels}; "
@@ -128,9 +147,11 @@ def distinct_points(points: FloatArray) -> FloatArray:
     return np.unique(points, axis=0)
 
 
-def term_name(exponent: tuple[int, int]) -> str:
-    """Return the name of a term, as in `gbid.lpv.TERMS`."""
-    if exponent in EXPONENTS:
-        return TERMS[EXPONENTS.index(exponent)]
-    letters = zip(("P", "Omega"), exponent, strict=True)
-    return " ".join(f"{letter}^{power}" if power > 1 else letter for letter, power in letters if power)
+def term_name(exponent: Sequence[int], scheduling: Sequence[str] = SCHEDULING) -> str:
+    """Return the name of a term: for a gas bearing as in `gbid.lpv.TERMS`, else as ``"current^2 gap"``."""
+    if tuple(scheduling) == SCHEDULING:
+        if tuple(exponent) in EXPONENTS:
+            return TERMS[EXPONENTS.index((exponent[0], exponent[1]))]
+        scheduling = ("P", "Omega")
+    powers = zip(scheduling, exponent, strict=True)
+    return " ".join(f"{name}^{power}" if power > 1 else name for name, power in powers if power) or "1"

@@ -39,6 +39,6 @@ def read_fit(job: Job, fit: str, model: str) -> MadeFit:
     """Return a fit, with true values for recordings of the rig."""
     result, structure = load_made_fit(job, fit, model), make_structure(job.experiment, fit)
     truth = true_values(job.experiment, result.recordings, structure)
-    document = fit_document(result, truth, true_model(structure, truth, result.model))
+    document = fit_document(result, truth, true_model(structure, truth, result.linear_model))
     points = {job.experiment.recordings[name].point for name in result.recordings}
     return MadeFit(fit, model, points.pop() if len(points) == 1 else "", result, document)

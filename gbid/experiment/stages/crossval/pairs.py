@@ -21,8 +21,8 @@ from gbid.experiment.stages.fit.stage import load_made_fit, model_key
 from gbid.experiment.stages.prefilter.stage import load_fit_input
 from gbid.identify import FitResult
 from gbid.recording import Recording
+from gbid.validate.any_simulator import AnySimulator, simulator
 from gbid.validate.crossval import score
-from gbid.validate.simulator import Simulator, simulator
 from gbid.validate.validation_data import ValidationData, validation_data
 
 _MANY = 200  # largest number of pairs for which the residuals of each pair are tested
@@ -125,7 +125,7 @@ class FitPairs:
     def _data(self, model: str, data: Recording) -> ValidationData:
         return validation_data(self._model(model)[1], data, left_out_of(self._job, self._name, data))
 
-    def _load_model(self, model: str) -> tuple[Simulator, FitResult]:
+    def _load_model(self, model: str) -> tuple[AnySimulator, FitResult]:
         result = load_made_fit(self._job, self._name, model)
         return simulator(result), result
 

@@ -9,7 +9,7 @@ from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.schema import FitSection
 from gbid.experiment.stages.fit.structures import fit_channels, fit_disturbances, make_structure, structure_or_none
-from gbid.structure import Parameter, Structure, symbolic_matrices
+from gbid.structure import AnyStructure, Parameter, anatomy
 
 
 def structures_load(experiment: Experiment) -> Found:
@@ -17,7 +17,7 @@ def structures_load(experiment: Experiment) -> Found:
     for name in experiment.spec.fits:
         try:
             structure = make_structure(experiment, name)
-            symbolic_matrices(structure)
+            anatomy(structure)
         except GbidError as error:
             key = "options" if "option" in str(error) else "structure"
             yield ("fits", name, key), str(error)
@@ -63,7 +63,7 @@ def parameters_are_known(experiment: Experiment) -> Found:
         yield from _bounds_hold(name, section, known)
 
 
-def _disturbing(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
+def _disturbing(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
     """Return the names of the coefficients of trends and hum; none where another check reports their options."""
     try:
         return list(fit_disturbances(experiment, fit, structure).names)

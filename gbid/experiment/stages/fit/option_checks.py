@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import casadi as ca
-
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.structures import fit_disturbances, output_labels, structure_or_none
 from gbid.identify.problem.initial_states import initial_states
-from gbid.structure import Matrices, Structure, symbolic_matrices
+from gbid.structure import Anatomy, AnyStructure, anatomy
 
 
 def focus_sees_options(experiment: Experiment) -> Found:
@@ -19,11 +17,10 @@ def focus_sees_options(experiment: Experiment) -> Found:
             continue
         if section.horizon > 1:
             yield ("fits", name, "horizon"), "a horizon is for focus: prediction; a simulation has no horizon"
-        known = _matrices(experiment, name)
+        known = _known(experiment, name)
         if known is None:
             continue
-        p, matrices, structure = known
-        unseen = _only_in_gain(p, matrices, structure)
+        unseen = known[0].gain_only
         for key, given in (("prior", section.prior), ("local", section.local)):
             for parameter in given:
                 if parameter.partition("[")[0] in unseen:
@@ -33,10 +30,10 @@ def focus_sees_options(experiment: Experiment) -> Found:
 def vectors_have_their_length(experiment: Experiment) -> Found:
     """Yield a problem when the numbers of weights and outputs, or of initial values and states, differ."""
     for name, section in experiment.spec.fits.items():
-        known = _matrices(experiment, name)
+        known = _known(experiment, name)
         if known is None:
             continue
-        _, matrices, structure = known
+        parts, structure = known
         labels = output_labels(experiment, name, structure)
         weights, state = section.output_weights, section.initial_state
         if weights is not None and labels and len(weights) != len(labels):
@@ -49,10 +46,10 @@ def vectors_have_their_length(experiment: Experiment) -> Found:
             )
         wrong = False
         for given in state.values() if isinstance(state, dict) else (state,):
-            if not isinstance(given, str) and len(given) != matrices.A.shape[0]:
+            if not isinstance(given, str) and len(given) != parts.n_states:
                 yield (
                     ("fits", name, "initial_state"),
-                    f"{len(given)} numbers for the {matrices.A.shape[0]} states of {structure.name}; give one each",
+                    f"{len(given)} numbers for the {parts.n_states} states of {structure.name}; give one each",
                 )
                 wrong = True
         used = {q.name for q in experiment.fit_recordings(name)}
@@ -116,33 +113,25 @@ def stretches_left_out_exist(experiment: Experiment) -> Found:
                         (*where, i),
                         f"{end:g} s is beyond the end of the recording, {rig.duration_s:g} s; end it there",
                     )
-        known = _matrices(experiment, name)
+        known = _known(experiment, name)
         if known is not None and section.left_out and section.horizon > 1 and section.focus == "prediction":
-            p, matrices, structure = known
-            gain_only = _only_in_gain(p, matrices, structure)
-            if matrices.K.nnz() and not set(gain_only) <= set(section.fixed):
+            parts, _ = known
+            if parts.has_gain and not parts.gain_only <= set(section.fixed):
                 yield (
                     ("fits", name, "left_out"),
                     "needs a horizon of 1, or a structure without disturbance gain; change one of them",
                 )
 
 
-def _matrices(experiment: Experiment, fit: str) -> tuple[ca.SX, Matrices, Structure] | None:
-    """Return the symbolic matrices and the structure; None when another check reports the structure."""
+def _known(experiment: Experiment, fit: str) -> tuple[Anatomy, AnyStructure] | None:
+    """Return what is known of a structure, and the structure; None when another check reports it."""
     structure = structure_or_none(experiment, fit)
     if structure is None:
         return None
     try:
-        return (*symbolic_matrices(structure), structure)
+        return anatomy(structure), structure
     except GbidError:
         return None
-
-
-def _only_in_gain(p: ca.SX, matrices: Matrices, structure: Structure) -> list[str]:
-    """Return the names of the parameters on which only the disturbance gain depends."""
-    rest = ca.vertcat(*(ca.vec(ca.densify(m)) for letter, m in matrices._asdict().items() if letter != "K"))
-    seen = ca.which_depends(rest, p, 1, False)
-    return [q.name for q, there in zip(structure.parameters, seen, strict=True) if not there]
 
 
 OPTION_CHECKS: tuple[Check, ...] = (

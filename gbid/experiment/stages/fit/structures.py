@@ -13,6 +13,7 @@ from gbid.experiment.stages.fit.schema import StructureOptions
 from gbid.identify.disturbances.asked import asked_disturbances
 from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.structure import (
+    AnyStructure,
     PiezoPair,
     Plant,
     RotorBearing,
@@ -43,7 +44,7 @@ BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]
 """Structures that come with gbid: function that builds each, and its options."""
 
 
-def make_structure(experiment: Experiment, fit: str) -> Structure:
+def make_structure(experiment: Experiment, fit: str) -> AnyStructure:
     """Return the structure of a fit.
 
     Raises
@@ -84,7 +85,7 @@ def _given_options(options: StructureOptions) -> dict[str, Any]:
     return {key: value for key, value in options if value is not None}
 
 
-def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
+def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
     """Return the structure of a fit; None when another check reports it."""
     try:
         return make_structure(experiment, fit)
@@ -92,7 +93,7 @@ def structure_or_none(experiment: Experiment, fit: str) -> Structure | None:
         return None
 
 
-def fit_disturbances(experiment: Experiment, fit: str, structure: Structure) -> Disturbances:
+def fit_disturbances(experiment: Experiment, fit: str, structure: AnyStructure) -> Disturbances:
     """Return the disturbances of the outputs that a fit estimates along.
 
     Raises
@@ -121,7 +122,7 @@ def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tup
     return inputs, section.outputs or structure.outputs
 
 
-def output_labels(experiment: Experiment, fit: str, structure: Structure) -> list[str]:
+def output_labels(experiment: Experiment, fit: str, structure: AnyStructure) -> list[str]:
     """Return the labels of the output channels of a fit, such as ``p_x``; empty without these channels."""
     labels: list[str] = []
     planned = experiment.fit_recordings(fit)

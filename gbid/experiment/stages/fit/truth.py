@@ -10,16 +10,17 @@ from gbid.experiment.stages.rig.model import rig_model, true_parameters
 from gbid.rig import RotorBearingTruth, scatter_random, scattered
 from gbid.structure import (
     KEY_PARAMETERS,
+    AnyStructure,
     LinearModel,
+    NonlinearStructure,
     PiezoPair,
     Plant,
     RotorBearing,
-    Structure,
     evaluate,
 )
 
 
-def true_values(experiment: Experiment, recordings: Sequence[str], structure: Structure) -> dict[str, float]:
+def true_values(experiment: Experiment, recordings: Sequence[str], structure: AnyStructure) -> dict[str, float]:
     """Return the true values of the parameters of a structure.
 
     They are known for recordings of the rig at one operating point and built-in structures.
@@ -62,13 +63,17 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
     return {**known, **drawn.key_parameters()}
 
 
-def true_model(structure: Structure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
+def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
     """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
     values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
-    if not truth or any(q.name not in values for q in structure.parameters):
+    if (
+        isinstance(structure, NonlinearStructure)
+        or not truth
+        or any(q.name not in values for q in structure.parameters)
+    ):
         return None
     return evaluate(structure, values, like.input_names, like.output_names)
 
 
-def _is_built_in(structure: Structure) -> bool:
+def _is_built_in(structure: AnyStructure) -> bool:
     return isinstance(structure, RotorBearing | PiezoPair | Plant)

@@ -15,7 +15,7 @@ from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.tune.design_goals import impact_of_goals
 from gbid.experiment.stages.tune.schema import ControllerSection
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, load_model
-from gbid.structure import load_structure
+from gbid.structure import NonlinearStructure, load_structure
 from gbid.structure.linear import Structure
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
@@ -127,7 +127,10 @@ def design_structure(
         hint = nearest(section.structure, built_in_structures())
         raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
     else:
-        base = controller_structure(load_structure(section.structure, experiment.folder), **options)
+        chosen = load_structure(section.structure, experiment.folder)
+        if isinstance(chosen, NonlinearStructure):
+            raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
+        base = controller_structure(chosen, **options)
         if (len(base.inputs), len(base.outputs)) != (2, 2):
             raise UsageError(f"structure {section.structure!r}: a controller has two inputs and two outputs")
     return with_schedule(base, domain) if section.schedule is None else scheduled(base, section.schedule, domain)

@@ -1,0 +1,147 @@
+"""Kernel of linear predictors: recursion of all blocks by an engine, and links by powers of the transition."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.identify.kernel.block_sums import PassEngine, Prediction
+from gbid.identify.kernel.blocks import Blocks
+from gbid.identify.kernel.growth import spectral_radius
+from gbid.identify.kernel.kernel_protocol import Traced
+from gbid.identify.kernel.sweep import (
+    Linked,
+    Sweep,
+    block_sums,
+    from_starts,
+    joined,
+    link,
+    powers_of,
+    scan,
+    start_hessians,
+    starts_of_blocks,
+    sweep,
+)
+from gbid.identify.predictor import PredictorValues
+
+
+@dataclass(frozen=True, eq=False)
+class LinearKernel:
+    """Kernel of a linear predictor; a `Kernel`.
+
+    Attributes
+    ----------
+    run : PassEngine
+        Engine of the recursion over the blocks.
+    """
+
+    run: PassEngine
+
+    def sweep(self, v: PredictorValues, blocks: Blocks, starts: FloatArray, weight: FloatArray) -> Sweep:
+        """Return the sums over the samples; see `Kernel`."""
+        return sweep(v, blocks, starts, weight, self.run)
+
+    def trace(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, weights: Sequence[FloatArray]
+    ) -> list[Traced]:
+        """Return the sums of each block for each weight; see `Kernel`."""
+        powers = powers_of(v.F, blocks.length)
+        begin = starts_of_blocks(v, blocks, starts, powers[-1], self.run)
+        found = []
+        for weight in weights:
+            sums, free = block_sums(v, blocks, begin, weight, powers, self.run)
+            linked = link(blocks, sums.end_theta, powers)
+            found.append(Traced(begin, joined(blocks, sums, start_hessians(blocks, free), linked), linked, sums))
+        return found
+
+    def begin(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the state at the start of each block; see `Kernel`."""
+        return starts_of_blocks(v, blocks, starts, powers_of(v.F, blocks.length)[-1], self.run)
+
+    def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
+        """Return states and errors; see `Kernel`."""
+        return from_starts(v, blocks, starts, self.run)
+
+    def passed(self, v: PredictorValues, blocks: Blocks, begin: FloatArray) -> Prediction:
+        """Return states and errors from the starts of blocks; see `Kernel`."""
+        return self.run.predict(v, blocks, begin)
+
+    def gradient(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the gradient by the adjoint: less work than a pass with sensitivities.
+
+        ``w`` are the weighted errors, and ``a[k]`` is the derivative of the cost by the state at sample k. The adjoint
+        runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
+        entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
+        """
+        prediction = self.predict(v, blocks, starts)
+        weighted = weight @ prediction.errors * blocks.used[:, :, None]
+        at_end = np.zeros((len(v.F), len(blocks.size)))
+        at_end[:, blocks.window_first + blocks.window_size - 1] = ends.T
+        at_start, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
+        if blocks.per_window > 1:
+            at_start = _back_along_windows(blocks, at_start, powers_of(v.F, blocks.length)[-1])
+            followed = np.setdiff1d(np.arange(blocks.n_blocks), blocks.window_first) - 1
+            at_end[:, followed] = at_start[:, followed + 1]
+            _, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
+        return _by_parameters(v, sums), at_start[:, blocks.window_first].T
+
+    def growth(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,  # noqa: ARG002
+        sweep: Callable[[], Sweep | None],  # noqa: ARG002
+        state_scale: FloatArray,  # noqa: ARG002
+    ) -> float:
+        """Return the spectral radius; see `Kernel`."""
+        return spectral_radius([v])
+
+    def sensitivities(
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
+    ) -> FloatArray:
+        """Return the sensitivities of some blocks by the recursion of `gbid.identify.kernel.sweep`; see `Kernel`."""
+        n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
+        m = n_p + n
+        driving = np.concatenate(
+            [blocks.side_by_side(prediction.states, own), blocks.side_by_side(blocks.z(v.shift), own)], axis=1
+        )
+        onto_state, onto_output = np.zeros((n, m, driving.shape[1])), np.zeros((n_y, m, driving.shape[1]))
+        onto_state[:, :n_p] = np.concatenate([v.dF, v.dG], axis=2).transpose(1, 0, 2)
+        onto_output[:, :n_p] = np.concatenate([v.dC, v.dH], axis=2).transpose(1, 0, 2)
+        history = np.empty((length + 1, n, m, own.stop - own.start))
+        history[0, :, :n_p] = linked.by_theta[own].transpose(1, 2, 0)
+        history[0, :, n_p:] = linked.by_start[own].transpose(1, 2, 0)
+        np.matmul(onto_state.reshape(n * m, -1), driving, out=history[1:].reshape(length, n * m, -1))
+        flat = history.reshape(length + 1, n, -1)
+        for k in range(length):
+            flat[k + 1] += v.F @ flat[k]
+        psi = (v.C @ flat[:-1]).reshape(length, n_y * m, -1)
+        if onto_output.any():
+            psi += onto_output.reshape(n_y * m, -1) @ driving
+        psi *= blocks.side_by_side(blocks.used[:, :, None], own)
+        return psi.transpose(1, 2, 0)
+
+
+def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:
+    """Return the adjoint at the start of every block, (n, W), from the adjoints of single blocks."""
+    backwards = blocks.window_size[:, None] - 1 - np.arange(blocks.per_window)
+    inside = backwards >= 0
+    blocks_of = blocks.window_first[:, None] + np.maximum(backwards, 0)
+    result = np.zeros_like(own)
+    result[:, blocks_of[inside]] = scan(transition.T, own[:, blocks_of][..., None])[:, inside, 0]
+    return result
+
+
+def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
+    """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
+    n = len(v.F)
+    return np.asarray(
+        np.tensordot(v.dF, sums[:n, :n], 2)
+        + np.tensordot(v.dG, sums[:n, n:], 2)
+        + np.tensordot(v.dC, sums[n:, :n], 2)
+        + np.tensordot(v.dH, sums[n:, n:], 2)
+    )

@@ -1,0 +1,203 @@
+"""Predictor of a nonlinear structure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.discretise import check_holds
+from gbid.errors import UsageError
+from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
+from gbid.identify.kernel.general_predictor import GeneralPredictor
+from gbid.identify.nonlinear.sample_functions import SampleEquations, SampleFunctions, sample_functions
+from gbid.identify.predictor import Focus
+from gbid.structure import Parameter
+from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.nonlinear_structure import MOST_STEPS, NonlinearStructure
+
+_RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
+
+
+class NonlinearValues(NamedTuple):
+    """Nonlinear predictor at one parameter vector.
+
+    Attributes
+    ----------
+    theta : (n_p,) array
+        Free parameters.
+    known : (n_known,) array
+        All other parameters, and the sample time.
+    steps : int
+        Steps of the integrator in a sample.
+    shift : tuple
+        Whole samples in delays: there are none.
+    """
+
+    theta: FloatArray
+    known: FloatArray
+    steps: int
+    shift: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearPredictor(GeneralPredictor):
+    """Predictor of a nonlinear structure; see `GeneralPredictor`.
+
+    Attributes
+    ----------
+    functions : SampleFunctions
+        Functions of one sample.
+    known : (n_known,) array
+        Parameters that are not free, and the sample time.
+    steps : int
+        Steps of the integrator in a sample.
+    adapts : bool
+        Whether the number of steps was left to the fit.
+    """
+
+    functions: SampleFunctions
+    known: FloatArray
+    steps: int
+    adapts: bool
+    _x0: ca.Function
+
+    def at(self, theta: FloatArray) -> NonlinearValues:
+        """Return the predictor at values of the free parameters, shape (n_free,)."""
+        return NonlinearValues(np.array(theta, float), self.known, self.steps)
+
+    def released_state(self, theta: FloatArray) -> FloatArray:
+        """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
+        return np.asarray(self._x0(theta, self.known), float).ravel()
+
+
+def build_nonlinear_predictor(
+    structure: NonlinearStructure,
+    fixed: Mapping[str, float],
+    begin: Mapping[str, float],
+    sample_time: float,
+    intersample: str | Sequence[str],
+    focus: Focus,
+    *,
+    disturbances: Disturbances = UNDISTURBED,
+    horizon: int = 1,
+    released: Sequence[bool] = (),
+) -> NonlinearPredictor:
+    """Return the predictor of a nonlinear structure for a fit; arguments as for `build_predictor`.
+
+    `begin` are the start values, at which the number of steps of the integrator is chosen.
+
+    Raises
+    ------
+    UsageError
+        When no free parameter remains, or for a horizon beyond one.
+    """
+    if horizon > 1:
+        raise UsageError(f"horizon = {horizon}: nonlinear structures predict one step ahead; leave it out")
+    own = symbolic_equations(structure)
+    n, n_y = own.x.numel(), own.y.numel()
+    gains = disturbances.walk_gains(sample_time) if focus == "prediction" else ()
+    K = own.K if focus == "prediction" else ca.SX(n, n_y)
+    x0 = own.x0 if len(released) and own.x0.numel() else ca.SX(n, 1)
+    x0 = ca.diag(ca.SX([float(each) for each in released] or [0.0] * n)) @ x0
+    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(own.dx, own.y, K, x0))}
+    unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
+    free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
+    if not free:
+        raise UsageError(f"structure {structure.name!r}: no free parameter to estimate")
+    coefficients = ca.vertcat(*(ca.SX.sym(term.name) for term in disturbances.terms))
+    gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains))
+    symbols = dict(
+        zip((q.name for q in structure.parameters), ca.vertsplit(own.p) if own.p.numel() else [], strict=True)
+    )
+    others = [q.name for q in structure.parameters if q not in free]
+    theta = ca.vertcat(*(symbols[q.name] for q in free), gain_symbols, coefficients)
+    known = ca.vertcat(*(symbols[name] for name in others), ca.SX.sym("sample_time"))
+    walking = disturbances.walking
+    onto = ca.SX(len(walking), n_y)
+    for row, output in enumerate(walking):
+        onto[row, output] = gain_symbols[row] if gains else 0
+    holds = check_holds(intersample, own.u.numel())
+    acting = {symbol.name() for symbol in ca.symvar(ca.veccat(own.dx, own.y))}
+    prompt = tuple(i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting)
+    full_K = ca.sparsify(ca.vertcat(K, onto))
+    driven = prompt or full_K.nnz() or disturbances.n_columns
+    walks = tuple(range(len(free), len(free) + len(gains)))
+    noise = _only_in(own.K, ca.veccat(own.dx, own.y, own.x0))
+    x_all = ca.vertcat(own.x, ca.SX.sym("walk", len(walking)))
+    x0_all = ca.vertcat(x0, ca.SX(len(walking), 1))
+    equations = SampleEquations(
+        x=x_all,
+        theta=theta,
+        known=known,
+        u=own.u,
+        dx=own.dx,
+        y=own.y,
+        K=full_K,
+        x0=x0_all,
+        walking=walking,
+        prompt=prompt,
+        lead=tuple(i for i in prompt if holds[i] == "foh"),
+        disturbances=disturbances,
+        coefficients=coefficients,
+        impulse=any(released) or not driven,
+        integrator=structure.integrator,
+    )
+    values = {**dict.fromkeys(unused, 0.0), **fixed}
+    return NonlinearPredictor(
+        free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
+        noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
+        unused=unused,
+        n_states=x_all.numel(),
+        n_inputs=own.u.numel(),
+        n_outputs=n_y,
+        holds=holds,
+        prompt=prompt,
+        delayed=(),
+        feeds_back=full_K.nnz() > 0,
+        disturbances=disturbances,
+        walks=walks,
+        horizon=1,
+        sample_time=sample_time,
+        released=any(released),
+        functions=sample_functions(equations),
+        known=np.array([*(values[name] for name in others), sample_time]),
+        steps=_first_steps(structure, begin, sample_time) if structure.steps == "auto" else structure.steps,
+        adapts=structure.steps == "auto",
+        _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
+    )
+
+
+def nonlinear_noise_names(structure: NonlinearStructure) -> frozenset[str]:
+    """Return the names of the parameters on which only the disturbance gain depends."""
+    own = symbolic_equations(structure)
+    return _only_in(own.K, ca.veccat(own.dx, own.y, own.x0))
+
+
+def _only_in(one: ca.SX, others: ca.SX) -> frozenset[str]:
+    return frozenset({s.name() for s in ca.symvar(one)} - {s.name() for s in ca.symvar(others)})
+
+
+def _each(column: ca.SX) -> list[ca.SX]:
+    return ca.vertsplit(column) if column.numel() else []
+
+
+def _first_steps(structure: NonlinearStructure, begin: Mapping[str, float], sample_time: float) -> int:
+    """Return the number of steps with which the fastest pole at the start values turns by a radian at most in one."""
+    own = symbolic_equations(structure)
+    slopes = ca.Function("slopes", [own.x, own.u, own.p], [ca.densify(ca.jacobian(own.dx, own.x))])
+    p = np.array([begin[q.name] for q in structure.parameters])
+    A = np.asarray(slopes(np.zeros(own.x.numel()), np.zeros(own.u.numel()), p), float)
+    if structure.integrator == "implicit" or not np.isfinite(A).all():
+        return 1
+    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * sample_time
+    if fastest > MOST_STEPS:
+        raise UsageError(
+            f"structure {structure.name!r}: the fastest pole at the start needs {fastest:.0f} steps in a sample: "
+            "the equations are stiff; use integrator='implicit'"
+        )
+    return max(1, int(np.ceil(fastest / _RADIANS)))

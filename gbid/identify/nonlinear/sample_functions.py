@@ -1,0 +1,166 @@
+"""Functions of one sample of a nonlinear predictor, with sensitivities and adjoint, as casadi.Function.
+
+A sample is an output and several steps of the integrator. The functions of both are small, whatever the number of
+steps: the kernels run the loops.
+
+    output:    x, z            -> xe, yhat, e
+    step:      x, z, e, t, w   -> x after a part w of the sample, from the part t on
+
+``xe`` is the state with what an initial state adds at the first sample, ``e`` the error that the disturbance gain
+feeds back. `theta` are the free parameters; `known` are all others and, last, the sample time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+
+from gbid.discretise import IntegratorName, one_step
+from gbid.identify.disturbances.disturbances import Disturbances
+
+
+class SampleEquations(NamedTuple):
+    """Equations of a sample as casadi.SX.
+
+    Attributes
+    ----------
+    x, theta, known : casadi.SX
+        Symbols of the states with those of random walks, the free parameters, all others and the sample time.
+    u : casadi.SX
+        Symbols of the inputs.
+    dx, y : casadi.SX
+        Derivatives of the states of the structure, and its outputs, by these symbols.
+    K : casadi.SX
+        Disturbance gain for all states, (n, n_y); without entries where measured outputs are not fed back.
+    x0 : casadi.SX
+        Initial state of the released states, (n, 1); zero for all others.
+    walking : tuple of int
+        Outputs with a random walk, whose offsets are the last states.
+    prompt, lead : tuple of int
+        Inputs among the regressors, and those of them whose next sample is there, too.
+    disturbances : Disturbances
+        Trends and hum.
+    coefficients : casadi.SX
+        Their coefficients.
+    impulse : bool
+        Whether an impulse is a regressor.
+    integrator : {"rk4", "implicit"}
+        The integrator.
+    """
+
+    x: ca.SX
+    theta: ca.SX
+    known: ca.SX
+    u: ca.SX
+    dx: ca.SX
+    y: ca.SX
+    K: ca.SX
+    x0: ca.SX
+    walking: tuple[int, ...]
+    prompt: tuple[int, ...]
+    lead: tuple[int, ...]
+    disturbances: Disturbances
+    coefficients: ca.SX
+    impulse: bool
+    integrator: IntegratorName
+
+
+class SampleFunctions(NamedTuple):
+    """Functions of a sample; `S` are derivatives by ``[theta, start]``, `Psi` those of yhat.
+
+    Attributes
+    ----------
+    output : casadi.Function
+        ``(x, z, theta, known) -> (xe, yhat, e)``.
+    step : casadi.Function
+        ``(x, z, e, theta, known, t, w) -> x``.
+    output_slopes : casadi.Function
+        ``(x, S, z, theta, known) -> (xe, Se, yhat, e, Psi)``.
+    step_slopes : casadi.Function
+        ``(x, S, z, e, Psi, theta, known, t, w) -> (x, S)``.
+    output_back : casadi.Function
+        ``(x, z, theta, known, a, v) -> `` derivatives of ``a' xe + v' yhat`` by x and theta.
+    step_back : casadi.Function
+        ``(x, z, e, theta, known, t, w, a) -> `` derivatives of ``a' x`` by the state before, e and theta.
+    feeds_back : bool
+        Whether the error acts on the state.
+    """
+
+    output: ca.Function
+    step: ca.Function
+    output_slopes: ca.Function
+    step_slopes: ca.Function
+    output_back: ca.Function
+    step_back: ca.Function
+    feeds_back: bool
+
+
+def sample_functions(own: SampleEquations) -> SampleFunctions:
+    """Return the functions of a sample."""
+    n, n_p, n_y = own.x.numel(), own.theta.numel(), own.y.numel()
+    feeds_back = own.K.nnz() > 0
+    widths = [len(own.prompt), len(own.lead), own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
+    z = ca.SX.sym("z", sum(widths))
+    now, lead, trend, impulse, measured = _parts(z, widths)
+    u0, u1 = (ca.SX(own.u.numel(), 1) for _ in range(2))
+    for row, i in enumerate(own.prompt):
+        u0[i] = u1[i] = now[row]
+    for row, i in enumerate(own.lead):
+        u1[i] = lead[row]
+
+    # Output of a sample.
+    at = own.x + own.x0 * impulse if own.impulse else own.x
+    (y,) = ca.substitute([own.y], [own.x, own.u], [at, u0])
+    onto = ca.SX(n_y, len(own.walking))
+    for column, output in enumerate(own.walking):
+        onto[output, column] = 1
+    y = y + onto @ at[n - len(own.walking) :]
+    if own.disturbances.n_columns:
+        gain = ca.SX(n_y, own.disturbances.n_columns)
+        for row, column, coefficient in zip(*own.disturbances.places, ca.vertsplit(own.coefficients), strict=True):
+            gain[int(row), int(column)] = coefficient
+        y = y + gain @ trend
+    y = ca.densify(y)
+    e_value = measured - y if feeds_back else ca.SX.zeros(n_y)
+
+    # Step of the integrator.
+    e, t, w = ca.SX.sym("e", n_y), ca.SX.sym("t"), ca.SX.sym("w")
+    derivative = ca.vertcat(own.dx, ca.SX(len(own.walking), 1)) + own.K @ e
+    f = ca.Function("f", [own.x, own.u], [ca.densify(derivative)], {"allow_free": True})
+    ends = u0 + (u1 - u0) * t, u0 + (u1 - u0) * (t + w)
+    after = one_step(own.integrator, f, own.x, ends, own.known[-1] * w)
+
+    S, Psi = ca.SX.sym("S", n, n_p + n), ca.SX.sym("Psi", n_y, n_p + n)
+    by_theta = ca.horzcat(ca.SX.eye(n_p), ca.SX(n_p, n))
+    a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
+    point, fixed = [own.x, z], [own.theta, own.known]
+    both = ca.vertcat(own.x, own.theta)
+    slopes = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(S, by_theta))
+    every = ca.vertcat(own.x, e, own.theta)
+    onwards = ca.jtimes(after, every, ca.vertcat(S, -Psi if feeds_back else ca.SX(n_y, n_p + n), by_theta))
+    back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
+    step_back = ca.jtimes(after, every, a, True)
+    moving = [e, *fixed, t, w]
+    return SampleFunctions(
+        _function("output", [*point, *fixed], [at, y, e_value]),
+        _function("step", [*point, *moving], [after]),
+        _function("output_slopes", [own.x, S, z, *fixed], [at, slopes[:n, :], y, e_value, slopes[n:, :]]),
+        _function("step_slopes", [own.x, S, z, e, Psi, *fixed, t, w], [after, onwards]),
+        _function("output_back", [*point, *fixed, a, v], [back[:n], back[n:]]),
+        _function("step_back", [*point, *moving, a], [step_back[:n], step_back[n : n + n_y], step_back[n + n_y :]]),
+        feeds_back,
+    )
+
+
+def _function(name: str, arguments: Sequence[ca.SX], results: Sequence[ca.SX]) -> ca.Function:
+    return ca.Function(name, list(arguments), [ca.densify(result) for result in results], {"cse": True})
+
+
+def _parts(z: ca.SX, widths: Sequence[int]) -> list[ca.SX]:
+    found, at = [], 0
+    for width in widths:
+        found.append(z[at : at + width])
+        at += width
+    return found

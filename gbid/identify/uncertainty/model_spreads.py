@@ -1,0 +1,75 @@
+"""Standard deviations of what follows from the model of a fit: modes, static gain, and slopes of its matrices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.discretise import Dual
+from gbid.identify.curves.slopes import model_slopes, nonlinear_slopes
+from gbid.identify.curves.uncertain_model import ModelSlopes
+from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.nonlinear.working_point import linearised
+from gbid.identify.predictor import Predictor
+from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
+from gbid.structure import LinearModel, NonlinearModel
+
+
+class ModelSpreads(NamedTuple):
+    """Derivatives and standard deviations of the model of the first recording.
+
+    Attributes
+    ----------
+    slopes : ModelSlopes
+        Derivatives of its matrices by all free parameters.
+    modes : (n_modes, 2) array
+        Standard deviations of natural frequencies [Hz] and damping factors.
+    static_gain : (n_outputs, n_inputs) array
+        Standard deviations of the static gain; nan for a model with a pole at zero.
+    """
+
+    slopes: ModelSlopes
+    modes: FloatArray
+    static_gain: FloatArray
+
+
+def model_spreads(
+    problem: Shooting,
+    theta: FloatArray,
+    chosen: FloatArray,
+    model: LinearModel | NonlinearModel,
+    names: Sequence[str],
+) -> ModelSpreads:
+    """Return slopes and standard deviations; of a nonlinear model those of the linear one at its working point.
+
+    Parameters
+    ----------
+    problem : Shooting
+        Problem of the fit.
+    theta : (n_p,) array
+        Free parameters.
+    chosen : (n_p, n_p) array
+        Their covariance.
+    model : LinearModel or NonlinearModel
+        Model of the first recording.
+    names : sequence of str
+        Names of the parameters of the structure.
+    """
+    part = problem.parts[0]
+    if isinstance(part.predictor, Predictor):
+        A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
+        B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+        slopes = model_slopes(part.predictor, theta, part.index)
+    else:
+        assert isinstance(model, NonlinearModel)
+        A, B, C, D = linearised(model, names, [q.name for q in part.predictor.free])
+        slopes = nonlinear_slopes([A, B, C, D], len(theta), part.index)
+    own, gain_std = chosen[np.ix_(part.index, part.index)], np.full(D.value.shape, np.nan)
+    if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
+        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
+    if np.linalg.cond(A.value) < 1e15:
+        gain_std = spread(static_gain_slopes(A, B, C, D)[1], own)
+    return ModelSpreads(slopes, spread(mode_slopes(A)[1], own), gain_std)

@@ -1,0 +1,68 @@
+"""Uncertain coefficients of surfaces: covariance of the parameters at a point, and random draws."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+
+TRIES = 20
+"""Largest number of draws for each requested model."""
+
+
+def covariance_at(terms: FloatArray, covariance: FloatArray, scatter: FloatArray | None = None) -> FloatArray:
+    """Return the covariance of k parameters at operating points.
+
+    Parameters
+    ----------
+    terms : (..., m) array
+        Terms of the polynomials at the points.
+    covariance : (k m, k m) array
+        Covariance of the coefficients: parameters, for each its terms.
+    scatter : (k, k) array, optional
+        Covariance of the deviations of recordings, which is added.
+
+    Returns
+    -------
+    (..., k, k) array
+    """
+    m = terms.shape[-1]
+    k = len(covariance) // m
+    found = np.einsum("...i,aibj,...j->...ab", terms, covariance.reshape(k, m, k, m), terms, optimize=True)
+    return np.asarray(found if scatter is None else found + scatter)
+
+
+def draws(
+    coefficients: FloatArray, covariance: FloatArray, scatter: FloatArray | None, n: int, seed: int
+) -> Iterator[FloatArray]:
+    """Return random coefficients (k, m), at most `TRIES` for each of n models.
+
+    Parameters
+    ----------
+    coefficients : (k, m) array
+        Mean. The first term is the constant 1.
+    covariance : (k m, k m) array
+        Covariance of the coefficients.
+    scatter : (k, k) array or None
+        Covariance of the deviation of one recording, added to the constant term; None for none.
+    n, seed : int
+        Number of models, and seed of the random numbers.
+    """
+    rng = np.random.default_rng(seed)
+    root = _root(covariance)
+    lift = None if scatter is None else _root(scatter)
+    for _ in range(TRIES * n):
+        drawn = coefficients + (root @ rng.normal(size=root.shape[1])).reshape(coefficients.shape)
+        if lift is not None:
+            drawn[:, 0] += lift @ rng.normal(size=lift.shape[1])
+        yield drawn
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return a matrix R with R R' equal to a covariance, which may be singular and badly scaled."""
+    size = np.sqrt(np.diag(covariance))
+    scale = np.where(size > 0, size, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)) * scale[:, None])

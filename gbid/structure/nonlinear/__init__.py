@@ -1,0 +1,1 @@
+"""Nonlinear structures: equations of a user, their symbols, and the model at given parameters."""

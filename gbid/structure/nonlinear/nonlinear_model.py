@@ -1,0 +1,335 @@
+"""Nonlinear model: equations at given parameters, with simulation and linearisation."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Annotated, Any
+
+import casadi as ca
+import numpy as np
+import numpy.typing as npt
+
+from gbid.arrays import FloatArray
+from gbid.brief import Brief, Description, brief
+from gbid.discretise import IntegratorName, check_holds, one_step
+from gbid.errors import UsageError
+from gbid.hdf5 import Stored
+from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
+from gbid.structure.numeric.linear_model import LinearModel
+
+
+@dataclass(frozen=True, eq=False)
+class NonlinearModel(Brief):
+    """Nonlinear model ``xd = f(x, u) + K e``, ``y = h(x, u) + e`` with numbers for its parameters.
+
+    Attributes
+    ----------
+    name : str
+        Name of the structure.
+    equations : str
+        ``casadi.Function.serialize()`` of ``(x, u, p) -> (f, h)``.
+    parameters : (n_parameters,) array
+        Values of the parameters.
+    K : (n_states, n_outputs) array
+        Disturbance gain; zero without one.
+    state_names, input_names, output_names : tuple of str
+        Names of the states and channels.
+    integrator : {"rk4", "implicit"}
+        Integrator of simulations.
+    steps : int
+        Steps of the integrator in a sample.
+    working_state, working_input : (n_states,) and (n_inputs,) array
+        Working point of `linearise` when none is given: the means over the recordings of a fit.
+    state_size : (n_states,) array
+        Root mean square of the states over these recordings.
+    """
+
+    name: str
+    equations: str
+    parameters: Annotated[FloatArray, Stored("SI", "values of the parameters")]
+    K: Annotated[FloatArray, Stored("SI", "disturbance gain")]
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    integrator: IntegratorName = "rk4"
+    steps: int = 1
+    working_state: Annotated[FloatArray, Stored("SI", "state of the working point")] = field(
+        default_factory=lambda: np.zeros(0)
+    )
+    working_input: Annotated[FloatArray, Stored("SI", "inputs of the working point")] = field(
+        default_factory=lambda: np.zeros(0)
+    )
+    state_size: Annotated[FloatArray, Stored("SI", "root mean square of the states")] = field(
+        default_factory=lambda: np.zeros(0)
+    )
+
+    def __post_init__(self) -> None:
+        if not len(self.working_state):
+            object.__setattr__(self, "working_state", np.zeros(self.n_states))
+            object.__setattr__(self, "working_input", np.zeros(len(self.input_names)))
+            object.__setattr__(self, "state_size", np.ones(self.n_states))
+
+    def _brief(self) -> Description:
+        return brief(
+            self,
+            f"{self.name}, {self.n_states} states, nonlinear",
+            state_names=self.state_names,
+            input_names=self.input_names,
+            output_names=self.output_names,
+        )
+
+    @property
+    def n_states(self) -> int:
+        """Number of states."""
+        return len(self.state_names)
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """``casadi.Function`` of ``(x, u, p)`` with the derivatives of the states and the outputs."""
+        return ca.Function.deserialize(self.equations)
+
+    def linearise(self, x0: npt.ArrayLike | None = None, u0: npt.ArrayLike | None = None) -> LinearModel:
+        """Return the linear model of small deviations from a working point.
+
+        Parameters
+        ----------
+        x0 : (n_states,) array, optional
+            State; by default the mean state of the recordings of the fit.
+        u0 : (n_inputs,) array, optional
+            Inputs; by default their means.
+
+        Returns
+        -------
+        LinearModel
+            In continuous time, with the derivatives of dynamics and output as matrices.
+
+        Raises
+        ------
+        UsageError
+            When sizes do not fit, or when a derivative is not finite there.
+        """
+        x = self._sized("x0", self.working_state if x0 is None else x0, self.n_states)
+        u = self._sized("u0", self.working_input if u0 is None else u0, len(self.input_names))
+        A, B, C, D = (np.array(m, float) for m in self._slopes(x, u, self.parameters))
+        if not all(np.isfinite(m).all() for m in (A, B, C, D)):
+            raise UsageError(f"model {self.name!r}: the derivatives at x0 = {x}, u0 = {u} are not finite; give another")
+        return LinearModel(
+            A,
+            B,
+            C,
+            D,
+            self.K if self.K.any() else None,
+            name=self.name,
+            input_names=self.input_names,
+            output_names=self.output_names,
+            state_names=self.state_names,
+        )
+
+    def modes(self) -> list[tuple[float, float]]:
+        """Return the modes of the linear model at the working point; see `LinearModel.modes`."""
+        return self.linearise().modes()
+
+    def static_gain(self) -> FloatArray:
+        """Return the static gain of the linear model at the working point; see `LinearModel.static_gain`."""
+        return self.linearise().static_gain()
+
+    def simulate(
+        self,
+        inputs: npt.ArrayLike,
+        sample_time: float,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return the response to sampled inputs.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        sample_time : float
+            Time between samples [s].
+        initial_state : (n_states,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Output signals; not finite from where the model overflows.
+
+        Raises
+        ------
+        UsageError
+            When shapes do not fit, an input is not finite, or the sample time is not positive.
+        """
+        u, following, x = self._run(inputs, sample_time, initial_state, intersample)
+        none = np.zeros((len(u), len(self.output_names)))
+        _, outputs = self._over(self._step_without, len(u))(x, u.T, following.T, none.T, self.parameters, sample_time)
+        return np.array(outputs, float).T
+
+    def predict(
+        self,
+        inputs: npt.ArrayLike,
+        outputs: npt.ArrayLike,
+        sample_time: float,
+        *,
+        initial_state: npt.ArrayLike | None = None,
+        intersample: str | Sequence[str] = "zoh",
+    ) -> FloatArray:
+        """Return one-step-ahead predictions of the outputs; without a disturbance gain this is the simulation.
+
+        Parameters
+        ----------
+        inputs : (n_samples, n_inputs) array
+            Input signals.
+        outputs : (n_samples, n_outputs) array
+            Measured outputs.
+        sample_time : float
+            Time between samples [s].
+        initial_state : (n_states,) array, optional
+            State at the first sample; zero when not given.
+        intersample : {"zoh", "foh"} or sequence of these
+            Inter-sample behaviour of the inputs.
+
+        Returns
+        -------
+        (n_samples, n_outputs) array
+            Predicted outputs.
+
+        Raises
+        ------
+        UsageError
+            As for `simulate`, or when the outputs do not fit.
+        """
+        u, following, x = self._run(inputs, sample_time, initial_state, intersample)
+        y = np.asarray(outputs, float)
+        if y.shape != (len(u), len(self.output_names)) or not np.isfinite(y).all():
+            expected = (len(u), len(self.output_names))
+            raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")
+        _, predicted = self._over(self._step_with, len(u))(x, u.T, following.T, y.T, self.parameters, sample_time)
+        return np.array(predicted, float).T
+
+    def _run(
+        self, inputs: npt.ArrayLike, sample_time: float, initial_state: Any, intersample: str | Sequence[str]
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return checked inputs, those at the end of each sample, and the first state."""
+        u = np.asarray(inputs, float)
+        if u.ndim != 2 or u.shape[1] != len(self.input_names) or not np.isfinite(u).all():
+            raise UsageError(
+                f"model {self.name!r}: inputs have shape {u.shape}, expected finite (n, {len(self.input_names)})"
+            )
+        if not sample_time > 0:
+            raise UsageError(f"model {self.name!r}: sample_time = {sample_time}; it must be above 0")
+        start = np.zeros(self.n_states) if initial_state is None else initial_state
+        held = np.array([hold == "zoh" for hold in check_holds(intersample, u.shape[1])], bool)
+        return u, np.where(held, u, np.vstack([u[1:], u[-1:]])), self._sized("initial_state", start, self.n_states)
+
+    @staticmethod
+    def _over(step: ca.Function, n: int) -> ca.Function:
+        return step.mapaccum(n) if n > 1 else step
+
+    @cached_property
+    def _step_without(self) -> ca.Function:
+        return self._step(fed=False)
+
+    @cached_property
+    def _step_with(self) -> ca.Function:
+        return self._step(fed=True)
+
+    def _step(self, *, fed: bool) -> ca.Function:
+        """Return the step over one sample: ``(x, u, u_next, y, p, h)`` to the next state and the output."""
+        n, n_u, n_y = self.n_states, len(self.input_names), len(self.output_names)
+        x, u, last, y, p, h, e, a, b = _symbols(n, n_u, n_u, n_y, len(self.parameters), 1, n_y, n, n_u)
+        f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ e], {"allow_free": True})
+        sub = ca.Function("sub", [x, u, last, e, p, h], [one_step(self.integrator, f, x, (u, last), h)])
+        output = self.function(x, u, p)[1]
+        error = y - output if fed else ca.SX.zeros(n_y)
+        at = x
+        for i in range(self.steps):
+            between = [u + (last - u) * (j / self.steps) for j in (i, i + 1)]
+            at = sub(at, *between, error, p, h / self.steps)
+        return ca.Function("step", [x, u, last, y, p, h], [at, output])
+
+    @cached_property
+    def _slopes(self) -> ca.Function:
+        x, u, p = _symbols(self.n_states, len(self.input_names), len(self.parameters))
+        outputs = self.function(x, u, p)
+        return ca.Function("slopes", [x, u, p], [ca.densify(ca.jacobian(y, at)) for y in outputs for at in (x, u)])
+
+    def _sized(self, what: str, value: Any, size: int) -> FloatArray:
+        found = np.asarray(value, float).ravel()
+        if found.shape != (size,) or not np.isfinite(found).all():
+            raise UsageError(f"model {self.name!r}: {what} = {value}; give {size} finite numbers")
+        return found
+
+
+def _symbols(*sizes: int) -> list[ca.SX]:
+    return [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
+
+
+def with_integrators(model: NonlinearModel, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
+    """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
+    n, added = model.n_states, len(outputs)
+    x, u, p = _symbols(n + added, len(model.input_names), len(model.parameters))
+    dx, y = model.function(x[:n], u, p)
+    onto = np.zeros((len(model.output_names), added))
+    onto[list(outputs), np.arange(added)] = 1.0
+    function = ca.Function("equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(onto) @ x[n:]])
+    return replace(
+        model,
+        equations=function.serialize(),
+        K=np.vstack([model.K, np.asarray(gains)[:, None] * onto.T]),
+        state_names=(*model.state_names, *(f"offset_{model.output_names[output]}" for output in outputs)),
+        working_state=np.concatenate([model.working_state, np.zeros(added)]),
+        state_size=np.concatenate([model.state_size, np.ones(added)]),
+    )
+
+
+def nonlinear_model(
+    structure: NonlinearStructure,
+    values: Mapping[str, float],
+    input_names: tuple[str, ...] = (),
+    output_names: tuple[str, ...] = (),
+    *,
+    steps: int = 1,
+) -> NonlinearModel:
+    """Return the model of a nonlinear structure for given parameter values.
+
+    Parameters
+    ----------
+    structure : NonlinearStructure
+        The structure.
+    values : dict of str to float
+        A value for every parameter.
+    input_names, output_names : tuple of str, optional
+        Names of the channels; by default those of the structure.
+    steps : int
+        Steps of the integrator in a sample.
+
+    Raises
+    ------
+    UsageError
+        When a value is missing.
+    """
+    if missing := [q.name for q in structure.parameters if q.name not in values]:
+        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
+    e = symbolic_equations(structure)
+    p = np.array([float(values[q.name]) for q in structure.parameters])
+    K = np.array(ca.Function("K", [e.p], [ca.densify(e.K)])(p), float)
+    function = ca.Function("equations", [e.x, e.u, e.p], [e.dx, e.y])
+    return NonlinearModel(
+        structure.name,
+        function.serialize(),
+        p,
+        K.reshape(e.K.shape),
+        structure.states,
+        input_names or structure.inputs,
+        output_names or structure.outputs,
+        structure.integrator,
+        steps,
+    )
