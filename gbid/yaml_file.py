@@ -15,9 +15,14 @@ from ruamel.yaml.error import MarkedYAMLError, YAMLError
 from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 
 from gbid.errors import UsageError
+from gbid.files.library_errors import in_one_line
 from gbid.files.text_checksum import is_changed, with_text_checksum
 
 CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
+
+_LARGEST = 4 << 20  # bytes
+_DEEPEST = 50
+_ALIASED = 10_000
 
 
 @dataclass(frozen=True)
@@ -66,7 +71,11 @@ def read_yaml(path: Path) -> YamlFile:
         than a mapping.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise UsageError(f"{path}: is not a file; give the name of one")
         content = path.read_bytes()
+        if len(content) > _LARGEST:
+            raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into files of their own")
         text = content.decode()
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; check its name and folder") from None
@@ -83,11 +92,33 @@ def read_yaml(path: Path) -> YamlFile:
         raise UsageError(f"{where}: not valid YAML: {problem}; correct it here or on the line before") from None
     except (YAMLError, ValueError) as error:
         raise UsageError(f"{path}: not valid YAML: {' '.join(str(error).split())}; correct it") from None
+    except Exception as error:  # the library on values and tags that no file of ours has
+        raise UsageError(f"{path}: not valid YAML: {in_one_line(error)}; correct it") from None
+    _check_size(path, tree, len(text))
     if not isinstance(tree, CommentedMap):
         found = "nothing" if tree is None else type(plain(tree)).__name__
         raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
     notes = (f"{path}: {CHANGED}",) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
+
+
+def _check_size(path: Path, tree: Any, length: int) -> None:
+    """Refuse a tree in itself, and aliases of aliases that make a huge tree from a short text."""
+    sizes: dict[int, int] = {}
+
+    def size(node: Any, depth: int) -> int:
+        if not isinstance(node, dict | list | tuple | set):
+            return 1
+        if depth > _DEEPEST or sizes.get(id(node)) == 0:
+            raise UsageError(f"{path}: values are nested more than {_DEEPEST} deep, or in themselves; write them flat")
+        if id(node) not in sizes:
+            sizes[id(node)] = 0
+            inside = [*node, *node.values()] if isinstance(node, dict) else node
+            sizes[id(node)] = 1 + sum(size(each, depth + 1) for each in inside)
+        return sizes[id(node)]
+
+    if size(tree, 0) > _ALIASED + 10 * length:
+        raise UsageError(f"{path}: its aliases repeat too many values; write the values where they are needed")
 
 
 def plain(value: Any) -> Any:

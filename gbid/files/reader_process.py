@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple, TypeVar
 
 from gbid.errors import DataError, GbidError
+from gbid.files.library_errors import library_errors
 
 T = TypeVar("T")
 
@@ -173,14 +174,10 @@ def serve() -> None:
 
 def _outcome(read: Callable[..., Any], path: Path, arguments: list[Any]) -> tuple[Any, BaseException | None]:
     try:
-        return read(path, *arguments), None
+        with library_errors(path):
+            return read(path, *arguments), None
     except (GbidError, OSError) as error:
         return None, error
-    except MemoryError:
-        return None, DataError(f"{path}: its reader needs more memory than the file can contain; save it again")
-    except Exception as error:  # whatever a library raises on a damaged file
-        words = f"{type(error).__name__}: {error}".splitlines()[0]
-        return None, DataError(f"{path}: cannot be read, damaged or of another format ({words}); save it again")
 
 
 def _send(answers: IO[bytes], outcome: tuple[Any, BaseException | None]) -> None:

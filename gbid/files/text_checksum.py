@@ -19,7 +19,9 @@ _COMMENTS = {
     ".m": ("% ", ""),
 }
 _BELOW_HELP = ".m"  # MATLAB shows the first comment as the help of the function
-_LINE = re.compile(rb"^[^\w\n]+gbid sha256 ([0-9a-f]{64}) of the other lines[^\w\n]*(?:\n|\Z)", re.MULTILINE)
+_LINE = re.compile(
+    rb"^(?:# |% |/\* |<!-- )gbid sha256 ([0-9a-f]{64}) of the other lines(?:| \*/| -->)(?:\n|\Z)", re.MULTILINE
+)
 _TRACE = re.compile(rb"gbid sha256|[0-9a-f]{31} of the other")  # of a damaged checksum
 
 

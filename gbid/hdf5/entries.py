@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gbid.errors import DataError
 
 TEXT = h5py.string_dtype()
+_ROOM, _EXPANSION = 1 << 20, 1032  # most bytes of a dataset: deflate makes 1032 of one
 _ONE = h5py.h5s.create(h5py.h5s.SCALAR)
 
 
@@ -71,11 +72,11 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
         raise DamagedError(f"{where(group, name)} is missing") from None
     if not isinstance(found, h5py.Dataset):
         raise DamagedError(f"{where(group, name)} is a group, not a dataset")
-    is_text = texts and h5py.check_string_dtype(found.dtype) is not None
-    values = np.asarray(found.asstr()[()] if is_text else found[()])
-    if texts != is_text or (not texts and values.dtype.kind not in "fiub"):
+    if found.shape is not None and found.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
+        raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
+    if texts != (h5py.check_string_dtype(found.dtype) is not None) or (not texts and found.dtype.kind not in "fiub"):
         raise DamagedError(f"{where(group, name)} holds {found.dtype}, not {'texts' if texts else 'numbers'}")
-    return values
+    return np.asarray(found.asstr()[()] if texts else found[()])
 
 
 def read_attribute(item: h5py.HLObject, name: str) -> Any:

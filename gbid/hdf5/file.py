@@ -13,8 +13,9 @@ import numpy as np
 
 from gbid._version import __version__
 from gbid.atomic import atomic_path
-from gbid.errors import DataError
+from gbid.errors import DataError, GbidError
 from gbid.files.checksum import has_valid_checksum, with_checksum
+from gbid.files.library_errors import library_errors
 from gbid.hdf5.copying import copied
 from gbid.hdf5.entries import DamagedError
 from gbid.naming.paths import given_path
@@ -138,12 +139,16 @@ def reading(path: str | Path, kind: FileKind) -> Iterator[h5py.File]:
     except KeyError as error:
         words = str(error.args[0] if error.args else error)
         raise DataError(f"{path}: incomplete {kind.name} file: {words}; {kind.remedy}") from None
-    except (TypeError, ValueError) as error:
-        if isinstance(error, DataError):
+    except GbidError as error:
+        if str(path) in str(error):
             raise
-        raise DataError(
-            f"{path}: damaged {kind.name} file, its entries do not fit together ({error}); {kind.remedy}"
-        ) from None
+        raise DataError(f"{path}: damaged {kind.name} file: {error}; {kind.remedy}") from None
+    except (TypeError, ValueError) as error:
+        words = f"damaged {kind.name} file, its entries do not fit together ({error})"
+        raise DataError(f"{path}: {words}; {kind.remedy}") from None
+    except Exception as error:  # what the library or a value raises on an entry that gbid does not write
+        with library_errors(path, kind.remedy):
+            raise error from None
 
 
 @contextlib.contextmanager

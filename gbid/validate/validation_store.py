@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import warnings
 from pathlib import Path
 
@@ -148,7 +149,7 @@ def load_actuators(path: str | Path) -> dict[str, float]:
         raise DataError(f"{path}: not a file with a nominal actuator (kind: {ACTUATORS_KIND}); run `gbid run`")
     for name in ACTUATOR:
         value = found.get(name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value <= sys.float_info.max:
             raise DataError(f"{path}: actuators.{name} = {value!r}; expected a positive number")
     for note in file.notes:
         warnings.warn(note, ChangedFileWarning, stacklevel=2)

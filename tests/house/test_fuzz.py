@@ -1,0 +1,39 @@
+"""Mutated files of all kinds: no traceback, no hang, no growth, no silent change. `make fuzz` tries many more."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+from fuzzing.outcome import FAULTS, try_input
+from fuzzing.targets import fuzz_targets
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+TARGETS = {target.name: target for target in fuzz_targets()}
+KEPT = Path(__file__).parents[1] / "data" / "fuzz_inputs.zip"
+"""Inputs that once ended in a fault; the folder of each is the name of its target."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzz")
+
+
+def test_good_files_are_read(folder):
+    for target in TARGETS.values():
+        assert try_input(target, target.content, folder).outcome == "accepted, equal", target.name
+
+
+@settings(max_examples=400, deadline=None)
+@given(name=st.sampled_from(sorted(TARGETS)), random=st.randoms(use_true_random=False))
+def test_mutated_files(folder, name, random):
+    target = TARGETS[name]
+    tried = try_input(target, target.mutate(random, target.content), folder)
+    assert tried.outcome not in FAULTS, tried.text
+
+
+def test_inputs_that_once_ended_in_a_fault(folder):
+    with zipfile.ZipFile(KEPT) as archive:
+        for name in archive.namelist():
+            tried = try_input(TARGETS[name.split("/")[0]], archive.read(name), folder)
+            assert tried.outcome not in FAULTS, f"{name}: {tried.text}"

@@ -1,0 +1,193 @@
+"""`make fuzz`: many mutated files, read in processes that are watched; prints and writes the figures.
+
+Each input follows from the seed and its number, so that it can be made again: ``--replay SEED/NUMBER``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import multiprocessing
+import os
+import platform
+import sys
+import tempfile
+import time
+from collections import Counter
+from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import gbid
+from fuzzing.outcome import FAULTS, HANG, InputOutcome, TriedInput, choose, try_input
+from fuzzing.targets import FuzzTarget, fuzz_targets
+
+_FORK = multiprocessing.get_context("fork")
+_GRACE = 5.0  # beyond the time of one input, before its process is ended
+_ADDRESSES = 4 << 30  # most memory of a process of ours, beyond which python raises MemoryError
+_KEPT = 200  # most faults that are written
+
+
+def made_input(targets: list[FuzzTarget], seed: int, number: int) -> tuple[FuzzTarget, bytes]:
+    """Return the input of a number."""
+    random = Random(f"{seed}/{number}")
+    target = choose(targets, random)
+    return target, target.mutate(random, target.content)
+
+
+def main() -> int:
+    """Run the inputs; return 1 when one of them found a fault."""
+    parser = argparse.ArgumentParser(prog="make fuzz", description=__doc__.splitlines()[0])
+    parser.add_argument("--count", type=int, default=None, help="number of inputs; without it, as many as fit the time")
+    parser.add_argument("--minutes", type=float, default=None)
+    parser.add_argument("--seed", type=int, default=None, help="by default another one in each run")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--only", default="", help="part of the name of the targets")
+    parser.add_argument("--output", type=Path, default=None, help="JSON file for the figures")
+    parser.add_argument("--replay", default="", help="SEED/NUMBER of one input to read again")
+    given = parser.parse_args()
+    targets = [target for target in fuzz_targets() if given.only in target.name]
+    if given.replay:
+        seed, number = map(int, given.replay.split("/"))
+        target, content = made_input(targets, seed, number)
+        with tempfile.TemporaryDirectory() as folder:
+            print(target.name, *try_input(target, content, Path(folder)), sep="\n")  # noqa: T201
+            if given.output:
+                given.output.write_bytes(content)
+        return 0
+    seed = int(time.time()) if given.seed is None else given.seed
+    until = time.monotonic() + 60 * (given.minutes if given.minutes is not None else 1e9 if given.count else 60)
+    run = FuzzRun(targets, seed, given.count or sys.maxsize, until, given.jobs)
+    run.go()
+    document = run.document()
+    print(json.dumps({**document, "faults": document["faults"][:20]}, indent=1))  # noqa: T201
+    if given.output:
+        given.output.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return int(bool(document["faults"]))
+
+
+class FuzzRun:
+    """Inputs from number 0 on, handed to worker processes; a worker that hangs or dies is replaced."""
+
+    def __init__(self, targets: list[FuzzTarget], seed: int, count: int, until: float, jobs: int) -> None:
+        self._targets, self._seed, self._count, self._until, self._jobs = targets, seed, count, until, jobs
+        self._next = 0
+        self._counts: dict[str, Counter[str]] = {target.name: Counter() for target in targets}
+        self._faults: list[dict[str, Any]] = []
+        self._slowest = self._largest = 0.0
+        self._began = time.monotonic()
+
+    def go(self) -> None:
+        """Run until the count or the time is reached."""
+        workers = [self._start() for _ in range(self._jobs)]
+        said = time.monotonic()
+        while workers:
+            wait([worker.pipe for worker in workers], timeout=1.0)
+            for worker in list(workers):
+                if worker.pipe.poll():
+                    self._receive(worker)
+                if worker.ended or time.monotonic() - worker.since > HANG + _GRACE or not worker.process.is_alive():
+                    self._end(worker)
+                    workers.remove(worker)
+                    if self._more():
+                        workers.append(self._start())
+            if time.monotonic() - said > 30:
+                said = time.monotonic()
+                total: Counter[str] = sum(self._counts.values(), Counter())
+                rate = self._next / (said - self._began)
+                sys.stderr.write(f"{self._next} inputs, {rate:.0f}/s, {dict(total)}\n")
+
+    def document(self) -> dict[str, Any]:
+        """Return the figures."""
+        total: Counter[str] = sum(self._counts.values(), Counter())
+        rows = {
+            target.name: {"origin": target.origin.value, "bytes": len(target.content), **self._counts[target.name]}
+            for target in self._targets
+        }
+        return {
+            "gbid": gbid.__version__,
+            "python": platform.python_version(),
+            "seed": self._seed,
+            "inputs": total.total(),
+            "seconds": round(time.monotonic() - self._began),
+            "slowest_s": round(self._slowest, 2),
+            "largest_growth_mb": round(self._largest / 1e6),
+            "outcomes": {outcome.value: total[outcome.value] for outcome in InputOutcome},
+            "targets": rows,
+            "faults": self._faults[:_KEPT],
+        }
+
+    def _more(self) -> bool:
+        return self._next < self._count and time.monotonic() < self._until
+
+    def _start(self) -> FuzzWorker:
+        return FuzzWorker(self._targets, self._seed, self._take())
+
+    def _take(self) -> int | None:
+        if not self._more():
+            return None
+        self._next += 1
+        return self._next - 1
+
+    def _receive(self, worker: FuzzWorker) -> None:
+        try:
+            tried = worker.pipe.recv()
+        except (EOFError, OSError):
+            worker.ended = True
+            return
+        self._note(worker.number, tried)
+        worker.ask(self._take())
+
+    def _end(self, worker: FuzzWorker) -> None:
+        worker.process.kill()
+        worker.process.join()
+        if worker.number is not None:
+            late = time.monotonic() - worker.since > HANG
+            outcome = InputOutcome.HANG if late else InputOutcome.TRACEBACK
+            words = f"the process ended with code {worker.process.exitcode}"
+            self._note(worker.number, TriedInput(outcome, time.monotonic() - worker.since, 0, words))
+
+    def _note(self, number: int, tried: TriedInput) -> None:
+        name = choose(self._targets, Random(f"{self._seed}/{number}")).name
+        self._counts[name][tried.outcome.value] += 1
+        self._slowest, self._largest = max(self._slowest, tried.seconds), max(self._largest, tried.growth)
+        if tried.outcome in FAULTS:
+            again = f"{self._seed}/{number}"
+            fault = {"input": again, "target": name, "outcome": tried.outcome.value, "text": tried.text[-1500:]}
+            self._faults.append(fault)
+            sys.stderr.write(f"{again} {name}: {tried.outcome.value}: {tried.text.strip().splitlines()[-1:]}\n")
+
+
+class FuzzWorker:
+    """Process that reads the inputs that it is asked for."""
+
+    def __init__(self, targets: list[FuzzTarget], seed: int, number: int | None) -> None:
+        self.pipe, theirs = _FORK.Pipe()
+        self.process = _FORK.Process(target=_work, args=(theirs, targets, seed), daemon=False)
+        self.process.start()
+        theirs.close()
+        self.ended = False
+        self.ask(number)
+
+    def ask(self, number: int | None) -> None:
+        """Hand over the number of an input; None ends the process."""
+        self.number, self.since = number, time.monotonic()
+        self.ended = number is None
+        self.pipe.send(number)
+
+
+def _work(pipe: Connection, targets: list[FuzzTarget], seed: int) -> None:
+    import resource
+
+    now = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (now + _ADDRESSES, resource.RLIM_INFINITY))
+    os.chdir("/")
+    with tempfile.TemporaryDirectory() as folder:
+        while (number := pipe.recv()) is not None:
+            target, content = made_input(targets, seed, number)
+            pipe.send(try_input(target, content, Path(folder)))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,267 @@
+"""What is fuzzed: files that gbid writes and files of other programs, how each is read, and its mutations."""
+
+from __future__ import annotations
+
+import io
+import tempfile
+import warnings
+import zipfile
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from enum import Enum
+from pathlib import Path
+from random import Random
+from typing import Any, NamedTuple
+
+import casadi as ca
+import h5py
+import numpy as np
+import stored_values
+from gain_problems import oscillator
+from scipy.io import savemat
+
+import gbid
+from fuzzing.byte_mutations import mutate_bytes
+from fuzzing.hdf5_mutations import mutate_hdf5
+from fuzzing.text_mutations import mutate_text, mutate_tree
+from fuzzing.zip_mutations import mutate_npz
+from gbid.characterise import PiezoCurve, StaticMap, load_static, save_static
+from gbid.control import HalfSine, load_impacts, save_impacts
+from gbid.control.assessment.tuned_design import TunedDesign, load_tuned, save_tuned
+from gbid.errors import ChangedFileWarning
+from gbid.experiment.load import load_experiment
+from gbid.files.checksum import with_checksum
+from gbid.files.text_checksum import is_changed, with_text_checksum
+from gbid.identify.table.table_store import save_table
+from gbid.lpv import load_model, save_model
+from gbid.prefilter import load_prefilter, save_prefilter
+from gbid.recording.importers.peek import list_channels
+from gbid.share import share_folder
+from gbid.tables.csv import csv_text
+from gbid.tables.table import plain_table
+from gbid.validate import load_actuators, load_validation_summary
+from gbid.validate.validation_store import ACTUATORS_KIND, save_validation_summary
+from gbid.yaml_file import write_yaml
+
+OLD = Path(__file__).parents[2] / "data" / "gbid_0_1_0.zip"
+_MAPPING = {"sample_time": 1e-3, "signals": {"y": {"columns": ["a", "b"], "unit": "m"}}}
+
+
+class FileOrigin(Enum):
+    """Who wrote a file: it decides what a changed value means."""
+
+    OWN = "gbid"  # has a checksum: a change must be noticed
+    OLDER = "gbid 0.1"  # has none
+    CRAFTED = "gbid, entries changed and checksum made anew"
+    FOREIGN = "other programs"
+
+
+class FuzzTarget(NamedTuple):
+    """One kind of file.
+
+    Attributes
+    ----------
+    name, ending : str
+    origin : FileOrigin
+    content : bytes
+        A good file.
+    read : callable
+        Function from the path to the value and the notes about it.
+    mutate : callable
+        Function from a random generator and bytes to other bytes.
+    weight : int
+        Share of the inputs.
+    beside : dict of str to bytes
+        Further files in the folder, by ending.
+    """
+
+    name: str
+    ending: str
+    origin: FileOrigin
+    content: bytes
+    read: Callable[[Path], tuple[Any, tuple[str, ...]]]
+    mutate: Callable[[Random, bytes], bytes]
+    weight: int = 1
+    beside: Mapping[str, bytes] = {}
+
+
+def fuzz_targets() -> list[FuzzTarget]:
+    """Return all kinds of files."""
+    return [*_texts(), *_own_hdf5(), *_older_hdf5(), *_foreign()]
+
+
+def flat(value: Any) -> Any:
+    """Return a value as nested tuples of plain values, which can be compared bit for bit."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return tuple((f.name, flat(getattr(value, f.name))) for f in fields(value) if f.name not in ("notes", "_tree"))
+    if isinstance(value, Mapping):
+        return tuple((key, flat(item)) for key, item in value.items())
+    if isinstance(value, np.ndarray):
+        return (value.shape, value.dtype.kind, value.tobytes() if value.dtype.kind != "O" else tuple(value.flat))
+    if isinstance(value, list | tuple):
+        return tuple(map(flat, value))
+    if isinstance(value, str | bytes | int | float | complex | bool | None):
+        return repr(value)
+    return type(value).__name__
+
+
+def _texts() -> list[FuzzTarget]:
+    with tempfile.TemporaryDirectory() as folder:
+        places = {name: Path(folder) / f"{name}.yaml" for name in ("p", "biquad", "model", "actuators")}
+        gbid.save_controller(places["p"], "P", {"kappa_x": 1.125, "kappa_y": 0.99}, plant="theisen2016")
+        structure = gbid.controller_structure("biquad")
+        gains = {p.name: 0.1 + 0.07 * i for i, p in enumerate(structure.parameters)}
+        gbid.save_controller(places["biquad"], structure, gains)
+        save_model(load_model("theisen2016"), places["model"])
+        actuators = dict(load_model("theisen2016").actuators)
+        write_yaml({"kind": ACTUATORS_KIND, "schema_version": 1, "actuators": actuators}, places["actuators"])
+        found = {name: path.read_bytes() for name, path in places.items()}
+    table = with_text_checksum(
+        csv_text(plain_table(("a", "b"), [(1.5, 2.5), (3.0, -1e-9)], ("note",))), ".csv"
+    ).encode()
+    experiment = (share_folder("experiments") / "quickstart.yaml").read_bytes()
+    own = FileOrigin.OWN
+    return [
+        FuzzTarget("controller", ".yaml", own, found["p"], _with_notes(gbid.load_controller), mutate_tree, 10),
+        FuzzTarget(
+            "controller, biquad", ".yaml", own, found["biquad"], _with_notes(gbid.load_controller), mutate_text, 2
+        ),
+        FuzzTarget("LPV model", ".yaml", own, found["model"], _with_notes(load_model), mutate_tree, 5),
+        FuzzTarget("nominal actuators", ".yaml", own, found["actuators"], _warned(load_actuators), mutate_tree, 10),
+        FuzzTarget("table of results", ".csv", own, table, _read_text, mutate_text, 40),
+        FuzzTarget("experiment", ".yaml", FileOrigin.FOREIGN, experiment, _plainly(_read_experiment), mutate_tree, 4),
+    ]
+
+
+def _own_hdf5() -> list[FuzzTarget]:
+    values = (
+        ("recording", stored_values.recording(), gbid.save_recording, gbid.load_recording),
+        ("static map", stored_values.static_map(), save_static, lambda path: load_static(path, StaticMap)),
+        ("piezo curve", stored_values.piezo_curve(), save_static, lambda path: load_static(path, PiezoCurve)),
+        ("prefilter", stored_values.runout_map(), _save_prefilter, load_prefilter),
+        ("impacts", stored_values.impact_study(), save_impacts, load_impacts),
+        ("validation", stored_values.validation_summary(), save_validation_summary, load_validation_summary),
+        ("table of fits", stored_values.fit_table(), save_table, gbid.load_table),
+        ("surfaces", stored_values.lpv_fit(), gbid.save_lpv_fit, gbid.load_lpv_fit),
+        ("fit", _old_fit(), gbid.save_fit, gbid.load_fit),
+        ("tuned design", _design(), save_tuned, load_tuned),
+    )
+    targets = []
+    for name, value, save, load in values:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "a.h5"
+            save(value, path if name != "surfaces" else path.with_suffix(".yaml"))
+            content = path.read_bytes()
+            beside = {p.suffix: p.read_bytes() for p in Path(folder).iterdir() if p != path}
+        read, share = _plainly(load), 4 if beside else 40  # a file beside it takes its time
+        targets += [
+            FuzzTarget(name, ".h5", FileOrigin.OWN, content, read, mutate_bytes, share, beside),
+            FuzzTarget(f"{name}, entries", ".h5", FileOrigin.CRAFTED, content, read, _seal_mutated, share // 4, beside),
+        ]
+    return targets
+
+
+def _older_hdf5() -> list[FuzzTarget]:
+    loads = {
+        "recording": gbid.load_recording,
+        "static_map": lambda path: load_static(path, StaticMap),
+        "prefilter": load_prefilter,
+        "impact": load_impacts,
+        "validation_summary": load_validation_summary,
+        "table": gbid.load_table,
+        "fit": gbid.load_fit,
+    }
+    with zipfile.ZipFile(OLD) as archive:
+        return [
+            FuzzTarget(
+                f"{name} of 0.1", ".h5", FileOrigin.OLDER, archive.read(f"{name}.h5"), _plainly(load), mutate_bytes, 2
+            )
+            for name, load in loads.items()
+        ]
+
+
+def _foreign() -> list[FuzzTarget]:
+    random = np.random.default_rng(1)
+    columns = {"t": 1e-3 * np.arange(60), "a": random.normal(size=60), "b": random.normal(size=60)}
+    csv = (
+        "t,a,b [m]\n"
+        + "\n".join(",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True))
+        + "\n"
+    )
+    npz, mat, packed, h5 = io.BytesIO(), io.BytesIO(), io.BytesIO(), io.BytesIO()
+    np.savez(npz, **columns)
+    nested = {**columns, "s": {"x": columns["a"], "name": "run"}, "c": np.array(["a", "bc"], dtype=object)}
+    savemat(mat, nested)
+    savemat(packed, nested, do_compression=True)
+    with h5py.File(h5, "w") as file:
+        for name, column in columns.items():
+            file.create_dataset(name, data=column, chunks=(20,), compression="gzip" if name == "a" else None)
+        file.create_dataset("run/table", data=np.zeros(5, dtype=[("p", "f8"), ("q", "i4")]))
+    foreign = FileOrigin.FOREIGN
+    return [
+        FuzzTarget("csv", ".csv", foreign, csv.encode(), _import, mutate_text, 20),
+        FuzzTarget("npz", ".npz", foreign, npz.getvalue(), _import, mutate_npz, 12),
+        FuzzTarget("mat", ".mat", foreign, mat.getvalue(), _import, mutate_bytes, 6),
+        FuzzTarget("mat, compressed", ".mat", foreign, packed.getvalue(), _import, mutate_bytes, 3),
+        FuzzTarget("HDF5 of others", ".h5", foreign, h5.getvalue(), _import, mutate_bytes, 6),
+        FuzzTarget("HDF5 of others, entries", ".h5", foreign, h5.getvalue(), _import, mutate_hdf5, 2),
+        FuzzTarget("csv, listed", ".csv", foreign, csv.encode(), _plainly(list_channels), mutate_text, 6),
+        FuzzTarget("npz, listed", ".npz", foreign, npz.getvalue(), _plainly(list_channels), mutate_npz, 3),
+        FuzzTarget("mat, listed", ".mat", foreign, mat.getvalue(), _plainly(list_channels), mutate_bytes, 2),
+    ]
+
+
+def _with_notes(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+    def read(path: Path) -> tuple[Any, tuple[str, ...]]:
+        value = load(path)
+        return value, value.notes
+
+    return read
+
+
+def _plainly(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+    return lambda path: (load(path), ())
+
+
+def _warned(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[str, ...]]]:
+    def read(path: Path) -> tuple[Any, tuple[str, ...]]:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", ChangedFileWarning)
+            value = load(path)
+        return value, tuple(str(each.message) for each in caught)
+
+    return read
+
+
+def _read_text(path: Path) -> tuple[Any, tuple[str, ...]]:
+    content = path.read_bytes()
+    return content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip(), ("changed",) if is_changed(
+        content
+    ) else ()
+
+
+def _read_experiment(path: Path) -> Any:
+    return load_experiment(path).recordings
+
+
+def _import(path: Path) -> tuple[Any, tuple[str, ...]]:
+    return gbid.import_recording(path, _MAPPING), ()
+
+
+def _save_prefilter(runout_map: Any, path: Path) -> None:
+    save_prefilter(path, runout_map, (stored_values.report(),))
+
+
+def _old_fit() -> Any:
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(OLD) as archive:
+        return gbid.load_fit(Path(archive.extract("fit.h5", folder)))
+
+
+def _design() -> TunedDesign:
+    gain = ca.SX.sym("g")
+    found = gbid.maximise_damping(ca.Function("A", [gain], [oscillator(gain)]), ["g"], 0.0, 0.5, "decay")
+    return TunedDesign("design", "model", found, (), (), HalfSine(), 2e-4)
+
+
+def _seal_mutated(random: Random, content: bytes) -> bytes:
+    return with_checksum(mutate_hdf5(random, content))
