@@ -8,7 +8,6 @@ from math import atan2, degrees
 from typing import Annotated
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import discretise
@@ -183,6 +182,8 @@ def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pul
 
 
 def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
+    from scipy.interpolate import CubicSpline  # imported here, because the import is slow
+
     fine = np.linspace(impact.start, impact.stop, _FINE * (impact.stop - impact.start) + 1)
     along = np.array([np.cos(np.deg2rad(impact.direction_deg)), np.sin(np.deg2rad(impact.direction_deg))])
     inner = np.arange(impact.start + 1, impact.stop)

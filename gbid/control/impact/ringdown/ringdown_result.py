@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import Annotated
 
 import numpy as np
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -97,7 +97,7 @@ class RingDown(Brief):
         if not 0 < level < 1:
             raise UsageError(f"level = {level}; give a number between 0 and 1")
         centre = np.column_stack([self.frequency_hz, self.damping]).ravel()
-        half = norm.ppf(0.5 + level / 2) * np.sqrt(np.diag(self.covariance))
+        half = ndtri(0.5 + level / 2) * np.sqrt(np.diag(self.covariance))
         return np.column_stack([centre - half, centre + half])
 
 

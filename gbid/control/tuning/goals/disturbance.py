@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import csd
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import Brief
@@ -77,6 +76,8 @@ def recorded_disturbance(
     UsageError
         When a recording has no such signal or is shorter than a segment, or when sample times differ.
     """
+    from scipy.signal import csd  # imported here, because the import is slow
+
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not every:
         raise UsageError("recorded_disturbance: no recordings")

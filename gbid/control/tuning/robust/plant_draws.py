@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta, binom
+from scipy.special import bdtrc, betaincinv
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -70,16 +70,14 @@ class PlantDraws(Brief):
             Between 0 and 1.
         """
         n = len(self.value)
-        k = int(binom.ppf(1 - confidence, n, 1 - probability))
-        while k > 0 and binom.sf(k - 1, n, 1 - probability) < confidence:
-            k -= 1
+        k = int(np.sum(bdtrc(np.arange(n), n, 1 - probability) >= confidence))  # it falls with k
         return float(np.sort(self.value)[k - 1]) if k > 0 else -np.inf
 
 
 def lower_bound(share: float, n: int, confidence: float) -> float:
     """Return the lower confidence bound of a probability from the share of n trials (Clopper and Pearson 1934)."""
     k = round(share * n)
-    return float(beta.ppf(1 - confidence, k, n - k + 1)) if k else 0.0
+    return float(betaincinv(k, n - k + 1, 1 - confidence)) if k else 0.0
 
 
 def on_draws(problem: GainProblem, plants: PlantSet, points: FloatArray, x: FloatArray, n: int) -> PlantDraws:

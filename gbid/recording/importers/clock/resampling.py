@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 
 from gbid.arrays import FloatArray
 
@@ -34,6 +33,8 @@ def resampled(values: FloatArray, unit: str, time: FloatArray) -> FloatArray:
     time : (n_samples,) array
         Times of the file [s], rising.
     """
+    from scipy.interpolate import make_interp_spline  # imported here, because the import is slow
+
     grid = np.linspace(time[0], time[-1], len(time))
     out = np.empty(values.shape)
     nearest = np.clip(np.searchsorted((time[1:] + time[:-1]) / 2, grid), 0, len(time) - 1)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import qmc
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.loop_family import LoopFamily
@@ -25,6 +24,8 @@ def usable_start(
     UsageError
         When there are none.
     """
+    from scipy.stats import qmc  # imported here, because the import is slow
+
     random = qmc.Sobol(len(lower), seed=np.random.default_rng(seed)).random(_TRIED)
     for x in (*given, *(lower + random * (upper - lower))):
         if all(np.isfinite(eigenvalues(family.states(x))).all() for family in families):
