@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import importlib
 import inspect
-import os
 import re
 import shutil
 import subprocess
@@ -16,8 +15,8 @@ from typing import Any
 import h5py
 import numpy as np
 import pytest
-from places import ROOT, SUPPORT
-from run_page import FENCE, cells, fences
+from places import ROOT
+from run_page import FENCE, cells, fences, run_apart
 from typer.main import get_command
 
 import gbid
@@ -151,15 +150,8 @@ def test_code_cells_run(path: Path, tmp_path: Path) -> None:
     """All cells of a page in order, in a process of their own, warnings as errors; the build shows what they print."""
     assert path.read_text(encoding="utf-8").startswith("---\nfile_format: mystnb\n"), "cells would not be executed"
     surroundings = {"PYTHONPATH": str(ROOT), "OPENBLAS_NUM_THREADS": "1", "NO_COLOR": "1", "COLUMNS": "120"}
-    done = subprocess.run(
-        [sys.executable, SUPPORT / "run_page.py", path],
-        cwd=tmp_path,
-        env={**os.environ, **surroundings},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, (done.stdout[-1500:] + done.stderr)[-5000:]
+    code, output = run_apart(path, tmp_path, surroundings)
+    assert code == 0, output[-5000:]
 
 
 COMMAND = re.compile(r"(?<![\w.-])gbid( [a-z]+\b[^`'\n]*| --[a-z][^`'\n]*)")

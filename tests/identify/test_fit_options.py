@@ -211,6 +211,28 @@ def test_strong_and_weak_priors(criterion):
         assert weak.std_with("white")[name] == pytest.approx(free.std_with("white")[name], rel=1e-3)
 
 
+@pytest.mark.parametrize("criterion", ["trace", "det"])
+def test_a_prior_weighs_as_much_beside_two_outputs(criterion):
+    """Two sensors of one signal: their mean is the estimate, and a prior as sure as they are moves it half way."""
+    one = lag_data(3000)
+    both = {"y1": one.signal("y"), "y2": lag_data(3000, seed=2).signal("y")}
+    both["y2"] = both["y2"] - simulated(LAG, LAG_AT, levels(3000, seed=2)).signal("y")  # its noise alone
+    both["y2"] = both["y2"] + simulated(LAG, LAG_AT, one.signal("u")).signal("y")
+    rec = replace(one, signals={"u": one.signal("u"), **both})
+    double = LinearStructure(
+        "double",
+        LAG.parameters[:2],
+        lambda p: {"A": [[-p.a]], "B": [[p.b]], "C": [[1], [1]]},
+        outputs=("y1", "y2"),
+    )
+    options = {"focus": "simulation", "criterion": criterion}
+    free = fit(double, rec, **options)
+    std = free.std_with("white")["b"]
+    result = fit(double, rec, prior={"b": (free.parameters["b"] + 2 * std, std)}, **options)
+    assert (result.parameters["b"] - free.parameters["b"]) / std == pytest.approx(1.0, rel=0.05)
+    assert result.std_with("white")["b"] == pytest.approx(std / np.sqrt(2), rel=0.03)
+
+
 def test_a_prior_settles_what_the_data_leave_open():
     twice = LinearStructure(
         "twice",

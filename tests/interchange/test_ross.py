@@ -1,6 +1,7 @@
 """Rotors of ROSS as structures, and identified bearings as elements of ROSS."""
 
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -11,14 +12,12 @@ import gbid
 from gbid.cli.main import app
 from gbid.errors import UsageError
 from gbid.interchange import bearing_element
+from gbid.interchange.ross.ross_package import ross_package
 from gbid.structure import evaluate
 
-pytest.importorskip(
-    "ross", reason="ross-rotordynamics is not installed: pip install 'gbid[ross]'", exc_type=ImportError
+pytestmark = pytest.mark.skipif(
+    find_spec("ross") is None, reason="ross-rotordynamics is not installed: pip install 'gbid[ross]'"
 )
-from gbid.interchange.ross.ross_package import ross_package
-
-ross = ross_package("these tests")
 MODEL = gbid.load_model("theisen2016")
 SENSORS = [(0, "x"), (0, "y"), (6, "x"), (6, "y")]
 ACTUATORS = [(2, "x"), (2, "y")]
@@ -27,6 +26,7 @@ EYE = np.eye(2)
 
 def rotor(left_k=1e6 * EYE, left_c=0 * EYE, right_k=1e6 * EYE, right_c=0 * EYE):
     """The rotor of Friswell et al. 2010, Dynamics of Rotating Machines, Example 5.9.1 (p. 206), on other bearings."""
+    ross = ross_package("these tests")  # not before: its import takes seconds
     steel = ross.Material(name="steel", rho=7810, E=211e9, G_s=81.2e9)
     shaft = [ross.ShaftElement(0.25, 0.0, 0.05, material=steel) for _ in range(6)]
     discs = [
@@ -160,6 +160,7 @@ def test_bearings_that_are_not_named_keep_their_coefficients():
     assert structure.parameters[0].start == 1.3e6
     all_known = natural(gbid.from_ross(machine, sensors=SENSORS, actuators=ACTUATORS))
     np.testing.assert_allclose(natural(structure), all_known, rtol=1e-4)
+    ross = ross_package("these tests")
     probe = gbid.from_ross(machine, sensors=[ross.Probe(0, np.pi / 4, tag="p")], actuators=[(2, "x")])
     values = [evaluate(s, {p.name: p.start for p in s.parameters}).static_gain() for s in (structure, probe)]
     np.testing.assert_allclose(*values, rtol=1e-6)
@@ -230,7 +231,7 @@ def test_the_command_line_writes_files_that_ross_reads(tmp_path, capsys):
     assert run("export", "theisen2016", "--to", "ross", "--mass", 2.04, "--output", tmp_path) == 0
     files = capsys.readouterr().out.split()
     assert [Path(file).name for file in files] == [f"theisen2016_p{p}.toml" for p in (3, 4, 5, 6, 7)]
-    read = ross.BearingElement.load(files[3])
+    read = ross_package("these tests").BearingElement.load(files[3])
     read = read[0] if isinstance(read, list) else read
     expected = bearing_element(MODEL, 0, mass_kg=2.04, pressure_bar=6.0)
     np.testing.assert_allclose(read.kxx, expected.kxx)

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from places import MEASURED as DATA
 from rig_point import machine
+from scipy.stats import beta
 
 from gbid.recording import Recording, find_group_problems, find_problems, import_recording
-from gbid.recording.quality_rub import find_rub
+from gbid.recording.quality_response import _crossed, _Response, _response
+from gbid.recording.quality_rub import _apart, _in_motion, _least_squares, _median_of_three, _struck, find_rub
 from gbid.rig import (
     Faults,
     FilmStiffening,
@@ -152,7 +154,55 @@ def test_faults_of_the_rig_are_caught():
     assert found(rig(Prbs(1.0), faults=Faults(spikes_per_s=20.0))) == []  # the median of three takes these out
 
 
+def test_gain_and_coherence_of_an_answer_that_is_known():
+    random = np.random.default_rng(1)
+    inputs = random.standard_normal((20_000, 2))
+    gain = np.array([[2.0, 0.5], [-0.3, 1.0]])
+    outputs = inputs @ gain.T
+    outputs[:, 1] += np.linalg.norm(gain[1]) * random.standard_normal(20_000)  # half of what is there
+    found = _response(inputs, outputs)
+    np.testing.assert_allclose(found.gain[0], gain[0], rtol=1e-6)
+    np.testing.assert_allclose(found.gain[1], [0.3, 1.0], atol=0.1)  # the noise adds to the rms
+    assert found.coherence[0] == pytest.approx(1.0, abs=1e-6)
+    assert found.coherence[1] == pytest.approx(0.5, abs=0.08)
+    assert found.chance == pytest.approx(beta.ppf(0.95, 2, 18))
+    still = _response(inputs * [0.0, 1.0], inputs[:, 1:] * [0.3, 1.0])
+    np.testing.assert_allclose(still.gain, [[np.nan, 0.3], [np.nan, 1.0]], rtol=1e-6)
+    assert _response(np.zeros((20_000, 2)), outputs) is None
+    assert _response(inputs[:499], outputs[:499]) is None
+
+
+@pytest.mark.parametrize(
+    ("gain", "coherence", "crossed"),
+    [
+        ([[1.0, 1.6], [1.6, 1.0]], (0.9, 0.9), True),
+        ([[1.0, 1.4], [1.4, 1.0]], (0.9, 0.9), False),  # within the factor
+        ([[1.0, 9.0], [0.9, 1.0]], (0.9, 0.9), False),  # one of two
+        ([[1.0, 1.6], [1.6, 1.0]], (0.9, 0.1), False),  # one of them dead
+        ([[1.0, np.nan], [1.6, np.nan]], (0.1, 0.9), True),  # one axis moves, the other answers
+        ([[1.0, np.nan], [1.4, np.nan]], (0.1, 0.9), False),
+        ([[1.0, np.nan], [1.6, np.nan]], (0.9, 0.1), False),
+        ([[np.nan, 1.6], [np.nan, 1.0]], (0.9, 0.1), True),
+    ],
+)
+def test_when_channels_count_as_crossed(gain, coherence, crossed):
+    assert _crossed(_Response(np.array(gain), np.array(coherence), 0.3)) is crossed
+
+
 # ---- rub ----
+
+
+def test_parts_of_the_search_for_impacts():
+    assert _median_of_three(np.array([[5.0], [1.0], [2.0], [9.0], [3.0]]))[:, 0].tolist() == [5.0, 2.0, 2.0, 3.0, 3.0]
+    assert np.flatnonzero(_apart(np.arange(10), np.array([2, 7]), 1)).tolist() == [0, 4, 5, 9]
+    assert _apart(np.arange(3), np.zeros(0, int), 1).all()
+    force = np.zeros((60, 2))
+    force[20, 1], force[50, 0] = -8.0, 0.3  # a hit, and noise of the sensor
+    struck = _struck(Recording({"p": np.zeros((60, 2)), "f": force}, 1e-3), half=3)
+    assert np.flatnonzero(struck).tolist() == list(range(15, 26))
+    assert _in_motion(np.array([[3.0, 0.0], [0.1, 0.1], [0.0, 2.0]])).tolist() == [0, 2]
+    basis = np.column_stack([np.ones(9), np.arange(9.0), np.zeros(9)])
+    np.testing.assert_allclose(_least_squares(basis, basis @ [[1.0], [2.0], [5.0]]), [[1.0], [2.0], [0.0]], atol=1e-6)
 
 
 @pytest.mark.parametrize(("point", "clearance"), [((3.0, 0.0), 6e-6), ((5.0, 4000.0), 7e-6), ((7.0, 6000.0), 9e-6)])

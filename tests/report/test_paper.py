@@ -3,6 +3,8 @@
 import csv
 import json
 import math
+from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -87,6 +89,31 @@ def test_verdicts(number, ours, std, verdict):
     row = judged(number, ours, std)
     assert row.verdict == verdict
     assert row.why == (number.off if verdict == "explained" else row.why)
+
+
+def test_a_deviation_is_ours_minus_the_papers():
+    row = judged(PaperNumber("a", "", "", "", 8.0, 1.0), 10.0, 0.5).document()
+    assert (row["paper"], row["ours"], row["ours_std"]) == (8.0, 10.0, 0.5)
+    assert (row["deviation"], row["deviation_percent"]) == (2.0, 25.0)
+    assert judged(PaperNumber("a", "", "", "", -4.0, 1.0), -5.0).document()["deviation_percent"] == 25.0
+
+
+def test_values_of_ours_from_surfaces_and_impacts():
+    paper, own = machine(), dict(_values())
+    tau = paper.coefficients["tau_x"]
+    moved = replace(paper, coefficients={**paper.coefficients, "tau_x": (tau[0] + 2e-4, *tau[1:])})
+    sizes = (("g_xx", 0.1), ("g_yx", 0.3), ("omega_1", 5.0))
+    surfaces = SimpleNamespace(model=moved, deviations=[SimpleNamespace(name=n, largest=v) for n, v in sizes])
+    impacts = {
+        "open": SimpleNamespace(expected=((100.0, 0.1), (120.0, 0.2))),
+        "closed": SimpleNamespace(expected=((101.0, 0.3), (121.0, 0.5))),
+    }
+    results = SimpleNamespace(machine=paper, surface_fit=surfaces, impacts_at=lambda with_piezos: impacts)
+    assert own["surface_tau_x"](results)[0] == pytest.approx(2e-4)
+    assert [own[f"surface_{name}"](results)[0] for name in ("tau_y", "omega_1")] == pytest.approx([0, 0], abs=1e-9)
+    assert own["largest_gain"](results)[0] == 0.3
+    assert [own[f"damping_factor_{i}"](results)[0] for i in (1, 2)] == pytest.approx([3.0, 2.5])
+    assert own["expected_closed_frequency_2"](results)[0] == 121.0
 
 
 def test_broken_list_of_figures_is_refused(tmp_path):
