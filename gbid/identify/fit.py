@@ -20,6 +20,7 @@ from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion, Shooting
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress, Stop
+from gbid.identify.nonlinear.integration import integrated_finely, integration_shift, with_integration_error
 from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several, strongly_coloured
 from gbid.identify.outcome import outcome, overflow_notes
@@ -223,6 +224,8 @@ def fit(
             return solve(posed, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
 
         solution, more = lowest_of_several(problem, run(inside), (lower, upper), run)
+        problem, solution = integrated_finely(problem, solution, (lower, upper), run)
+        shift = integration_shift(problem, solution.unknowns, (lower, upper))
         light = None
         if loss is not None and solution.status.success:
             light, solution = reweighted_solution(problem, solution, loss, run)
@@ -244,7 +247,7 @@ def fit(
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
         result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, states, light)
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
-        result = replace(result, notes=(*result.notes, *notes))
+        result = with_integration_error(replace(result, notes=(*result.notes, *notes)), shift)
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)
         return Attempt(result, problem.rate(solution.unknowns), doubtful)
 

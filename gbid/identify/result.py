@@ -145,6 +145,9 @@ class FitResult(Brief, Pictured):
         of gbid 0.1.0.
     covariance_bootstrap : (n_free, n_free) array or None
         Robust covariance with the standard deviations of the bootstrap; None where none was asked for.
+    integration_shift : (n_free,) array or None
+        How far the estimates of a nonlinear structure move when the step of the integrator is halved, in standard
+        deviations; None for a linear structure, which is integrated exactly.
     """
 
     structure: str
@@ -182,6 +185,9 @@ class FitResult(Brief, Pictured):
     optimality: Annotated[float | None, Stored("", "next step over standard deviations")] = None
     covariance_bootstrap: Annotated[
         FloatArray | None, _of_free("covariance_bootstrap", "robust covariance with the bootstrap's deviations")
+    ] = None
+    integration_shift: Annotated[
+        FloatArray | None, Stored("1", "shift of the free parameters with half the step of the integrator", "free")
     ] = None
 
     def _brief(self) -> Description:

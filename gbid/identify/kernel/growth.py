@@ -9,6 +9,8 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.identify.predictor import PredictorValues
 
+_TENFOLD = 10.0  # growth that counts
+
 
 def spectral_radius(values: list[PredictorValues]) -> float:
     """Largest magnitude of the predictors' eigenvalues; infinite where they overflow."""
@@ -22,7 +24,7 @@ def growth_along(transitions: Sequence[FloatArray], samples: int) -> float:
     """Return the growth of a small deviation in a sample, along a trajectory.
 
     It is that over the second half of the trajectory: a deviation that grows like time, as the phase of an oscillator
-    does, is not unstable.
+    does, is not unstable. Less than a tenfold growth counts as none.
 
     Parameters
     ----------
@@ -40,4 +42,5 @@ def growth_along(transitions: Sequence[FloatArray], samples: int) -> float:
         logs.append(logs[-1] + float(np.log(size)))
         product = product / size
     half = len(transitions) // 2
-    return float(np.exp((logs[-1] - logs[half]) * len(transitions) / ((len(transitions) - half) * samples)))
+    growth = (logs[-1] - logs[half]) * len(transitions) / (len(transitions) - half)
+    return float(np.exp((growth if growth > np.log(_TENFOLD) else min(growth, 0.0)) / samples))

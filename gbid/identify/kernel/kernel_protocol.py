@@ -9,6 +9,7 @@ from gbid.arrays import FloatArray
 from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import Linked, Sweep
+from gbid.identify.predictor import PredictorValues
 
 
 class Traced(NamedTuple):
@@ -77,6 +78,10 @@ class Kernel(Protocol):
 
         `sweep` computes the pass where it is needed, None where it overflows. States are of the order of `state_scale`.
         """
+        ...
+
+    def feedback(self, v: Any, blocks: Blocks, prediction: Prediction) -> PredictorValues:
+        """Return a linear predictor whose last regressors are the measured outputs, (n_y)."""
         ...
 
     def sensitivities(self, v: Any, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice) -> FloatArray:

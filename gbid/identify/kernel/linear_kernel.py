@@ -100,6 +100,15 @@ class LinearKernel:
         """Return the spectral radius; see `Kernel`."""
         return spectral_radius([v])
 
+    def feedback(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,  # noqa: ARG002
+        prediction: Prediction,  # noqa: ARG002
+    ) -> PredictorValues:
+        """Return the predictor itself; see `Kernel`."""
+        return v
+
     def sensitivities(
         self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
     ) -> FloatArray:

@@ -44,7 +44,7 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: tuple[Float
     if iterate.cost <= problem.exact_cost:
         return 0.0
     try:
-        step = _gauss_newton_step(problem, iterate, unknowns, box)
+        step = gauss_newton_step(problem, iterate, unknowns, box)
     except (RuntimeError, ValueError, MatrixRankWarning):  # singular
         return np.inf
     return in_standard_deviations(problem, iterate, step)
@@ -58,7 +58,7 @@ def in_standard_deviations(problem: Shooting, iterate: Iterate, moved: FloatArra
     return float(np.sqrt(max(square, 0.0) * problem.likelihood_size)) if np.isfinite(square) else np.inf
 
 
-def _gauss_newton_step(
+def gauss_newton_step(
     problem: Shooting, iterate: Iterate, x: FloatArray, box: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """Return the step (n_unknowns,) from the sparse system of the optimality conditions."""

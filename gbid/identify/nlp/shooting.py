@@ -21,7 +21,7 @@ from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.patterns import Pattern, hessian_pattern, jacobian_pattern
 from gbid.identify.nlp.record_group import Iterate, Prior, RecordGroup, tied_limits
 from gbid.identify.nlp.stability import EDGE, near_instability
-from gbid.identify.predictor import Predictor
+from gbid.identify.predictor import Predictor, PredictorValues
 
 Criterion = Literal["trace", "det"]
 _ROUNDING = 1e-13  # floor of the cost, as a part of the outputs' power
@@ -51,8 +51,7 @@ class Shooting:
     prior : Prior
         Prior knowledge of the parameters.
     stable_only : bool
-        Whether points with an unstable predictor are invalid. Over a finite record, an unstable predictor can have
-        smaller errors than the stable one that is to be estimated.
+        Whether unstable predictors are invalid: over a finite record they can have smaller errors than the stable one.
     """
 
     parts: tuple[RecordGroup, ...]
@@ -134,7 +133,8 @@ class Shooting:
         if not all(part.within_bounds(theta) for part in self.parts):
             return None
         values = self.values(theta)
-        return None if self.stable_only and self.noise and spectral_radius(values) > 1 else values
+        watched = self._watched and isinstance(values[0], PredictorValues)  # others grow only in a pass
+        return None if watched and spectral_radius(values) > 1 else values
 
     def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """Return the sums of one pass over every part, for window starts (n_windows, n)."""
@@ -185,27 +185,29 @@ class Shooting:
         """Indices of the parameters on which only disturbance gains depend."""
         return tuple(sorted({int(i) for part in self.parts for i in part.noise}))
 
+    @property
+    def _watched(self) -> bool:
+        return bool(self.noise) and self.stable_only
+
     def parts_at_edge(self, theta: FloatArray) -> Iterator[bool]:
         """Yield for each part whether it is so close to instability that its disturbance gain is no valid estimate."""
-        watched = bool(self.noise) and self.stable_only
         pairs = ((part.predictor, part.own(theta)) for part in self.parts)
-        return (watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
+        return (self._watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
 
     def rate(self, unknowns: FloatArray) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts."""
         values = self.values(self.unpack(unknowns)[0])
+        return self._growth(values, lambda: self.at(unknowns).sweeps)
 
-        def sweep_of(part: int) -> Callable[[], Sweep | None]:
-            return lambda: self.at(unknowns).sweeps[part] if self.at(unknowns).sweeps else None
+    def _growth(self, values: list[Any], sweeps: Callable[[], Sequence[Sweep]]) -> float:
+        def of(i: int, part: RecordGroup, v: Any) -> float:
+            return part.kernel.growth(v, part.blocks, lambda: sweeps()[i] if sweeps() else None, self.state_scale)
 
-        parts = enumerate(zip(self.parts, values, strict=True))
-        return max(part.kernel.growth(v, part.blocks, sweep_of(i), self.state_scale) for i, (part, v) in parts)
+        return max(of(i, part, v) for i, (part, v) in enumerate(zip(self.parts, values, strict=True)))
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Linear constraints: bounds of tied parameters.
-
-        A tied parameter is a sum of several unknowns, so bounds of unknowns cannot limit it.
+        """Linear constraints: bounds of tied parameters, which are sums of several unknowns.
 
         Returns
         -------
@@ -286,6 +288,8 @@ class Shooting:
                 if not np.isfinite(products).all():
                     return self._invalid()
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
+            if self._watched and self._growth(values, lambda: sweeps) > 1:
+                return self._invalid()
             return self._assembled(theta, starts, sweeps, products, factor)
 
     def _assembled(

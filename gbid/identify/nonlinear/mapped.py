@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 
 import casadi as ca
@@ -161,6 +162,12 @@ class MappedRunner:
         psi = [slopes.copy() for *_, slopes in self._with_slopes(v, z, x, first)]
         return np.stack(psi).transpose(0, 2, 3, 1)
 
+    def one_sample(self, v: NonlinearValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the state after one sample, its derivative by the state, and that of the outputs."""
+        first = np.concatenate([np.zeros((self._n, self._n_p)), np.eye(self._n)], axis=1)
+        _, after, S, _, psi = next(self._with_slopes(v, z[None, None], x[None], first[None]))
+        return after[0].copy(), S[0][:, self._n_p :].copy(), psi[0][:, self._n_p :].copy()
+
     def _onwards(self, v: NonlinearValues, x: FloatArray, z: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the next states (width, 1, n) and the outputs (width, n_y)."""
         output, step = self._mapped("output", len(x)), self._mapped("step", len(x))
@@ -169,7 +176,9 @@ class MappedRunner:
             at = step(at, z[:, None], e, v.theta, v.known, s / v.steps, 1 / v.steps)[0].copy()
         return at, yhat[:, 0]
 
-    def _with_slopes(self, v: NonlinearValues, z: FloatArray, x: FloatArray, first: FloatArray):  # type: ignore[no-untyped-def]
+    def _with_slopes(
+        self, v: NonlinearValues, z: FloatArray, x: FloatArray, first: FloatArray
+    ) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray, FloatArray]]:
         """Yield for each sample its number, the state after it, its derivatives, the outputs and their derivatives."""
         width = z.shape[1]
         output, step = self._mapped("output_slopes", width), self._mapped("step_slopes", width)

@@ -15,6 +15,7 @@ from gbid.identify.kernel.growth import growth_along
 from gbid.identify.kernel.kernel_protocol import Traced
 from gbid.identify.kernel.sweep import Linked, Sweep, joined
 from gbid.identify.nonlinear.nonlinear_predictor import NonlinearValues
+from gbid.identify.predictor import PredictorValues
 
 
 class SampleSums(NamedTuple):
@@ -73,9 +74,12 @@ class NonlinearKernel:
     ----------
     run : SampleRunner
         Runner of the functions of a sample.
+    linear : callable
+        Predictor of small deviations from the mean of a trajectory, for `feedback`.
     """
 
     run: SampleRunner
+    linear: Callable[[NonlinearValues, Blocks, Prediction], PredictorValues]
 
     def sweep(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, weight: FloatArray) -> Sweep:
         """Return the sums over the samples; see `Kernel`."""
@@ -132,6 +136,10 @@ class NonlinearKernel:
         window = blocks.length * blocks.per_window
         pieces = np.split(by_start, blocks.segment_first[1:])
         return max(growth_along(list(piece), window * len(piece)) for piece in pieces)
+
+    def feedback(self, v: NonlinearValues, blocks: Blocks, prediction: Prediction) -> PredictorValues:
+        """Return the predictor of small deviations from the mean of the trajectory; see `Kernel`."""
+        return self.linear(v, blocks, prediction)
 
     def sensitivities(
         self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice

@@ -17,7 +17,7 @@ from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nonlinear.sample_functions import SampleEquations, SampleFunctions, sample_functions
 from gbid.identify.predictor import Focus
 from gbid.structure import Parameter
-from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.equations import jumps_in, symbolic_equations
 from gbid.structure.nonlinear.nonlinear_structure import MOST_STEPS, NonlinearStructure
 
 _RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
@@ -58,12 +58,15 @@ class NonlinearPredictor(GeneralPredictor):
         Steps of the integrator in a sample.
     adapts : bool
         Whether the number of steps was left to the fit.
+    jumps : tuple of str
+        Operations of the equations with a jump or a kink.
     """
 
     functions: SampleFunctions
     known: FloatArray
     steps: int
     adapts: bool
+    jumps: tuple[str, ...]
     _x0: ca.Function
 
     def at(self, theta: FloatArray) -> NonlinearValues:
@@ -104,7 +107,13 @@ def build_nonlinear_predictor(
     K = own.K if focus == "prediction" else ca.SX(n, n_y)
     x0 = own.x0 if len(released) and own.x0.numel() else ca.SX(n, 1)
     x0 = ca.diag(ca.SX([float(each) for each in released] or [0.0] * n)) @ x0
-    seen = {symbol.name() for symbol in ca.symvar(ca.veccat(own.dx, own.y, K, x0))}
+    seen = names_in(ca.veccat(own.dx, own.y, K, x0))
+    nowhere = {q.name for q in structure.parameters} - seen - names_in(own.K) - names_in(own.x0) - set(fixed)
+    if nowhere:
+        raise UsageError(
+            f"structure {structure.name!r}: its equations do not contain the parameter {', '.join(sorted(nowhere))}; "
+            "remove it, or fix it (fixed=...)"
+        )
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
     if not free:
@@ -122,7 +131,7 @@ def build_nonlinear_predictor(
     for row, output in enumerate(walking):
         onto[row, output] = gain_symbols[row] if gains else 0
     holds = check_holds(intersample, own.u.numel())
-    acting = {symbol.name() for symbol in ca.symvar(ca.veccat(own.dx, own.y))}
+    acting = names_in(ca.veccat(own.dx, own.y))
     prompt = tuple(i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting)
     full_K = ca.sparsify(ca.vertcat(K, onto))
     driven = prompt or full_K.nnz() or disturbances.n_columns
@@ -168,6 +177,7 @@ def build_nonlinear_predictor(
         known=np.array([*(values[name] for name in others), sample_time]),
         steps=_first_steps(structure, begin, sample_time) if structure.steps == "auto" else structure.steps,
         adapts=structure.steps == "auto",
+        jumps=jumps_in(own),
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
     )
 
@@ -179,7 +189,12 @@ def nonlinear_noise_names(structure: NonlinearStructure) -> frozenset[str]:
 
 
 def _only_in(one: ca.SX, others: ca.SX) -> frozenset[str]:
-    return frozenset({s.name() for s in ca.symvar(one)} - {s.name() for s in ca.symvar(others)})
+    return frozenset(names_in(one) - names_in(others))
+
+
+def names_in(expression: ca.SX) -> set[str]:
+    """Return the names of the symbols in an expression."""
+    return {symbol.name() for symbol in ca.symvar(expression)}
 
 
 def _each(column: ca.SX) -> list[ca.SX]:

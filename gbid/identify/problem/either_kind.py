@@ -94,7 +94,11 @@ def choose_kernel(wanted: EngineName, predictor: GeneralPredictor, begin: Mappin
     """
     if isinstance(predictor, NonlinearPredictor):
         kernel, name, note = choose_runner(wanted, predictor)
-        return ChosenKernel(kernel, name, (note,) if note else ())
+        jumps = (
+            f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives know only the pieces "
+            "between them, so estimates of where they lie, and their standard deviations, are rough"
+        )
+        return ChosenKernel(kernel, name, (*([note] if note else []), *([jumps] if predictor.jumps else [])))
     assert isinstance(predictor, Predictor)
     theta = np.array([begin.get(q.name, 0.0) for q in predictor.free])
     nudged = np.where(theta == 0, 1e-3, theta * 1.001)  # a point where nothing is zero by chance

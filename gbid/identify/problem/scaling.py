@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from math import inf
+from typing import Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.identify.data import FitData
-from gbid.identify.kernel.growth import spectral_radius
+from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.record_group import Prior
 from gbid.identify.nlp.shooting import Criterion, Shooting
-from gbid.identify.predictor import PredictorValues
+from gbid.identify.nonlinear.nonlinear_kernel import NonlinearKernel
+from gbid.identify.nonlinear.nonlinear_predictor import NonlinearPredictor
+from gbid.identify.nonlinear.window_starts import window_starts
 from gbid.identify.problem.assembly import Assembly
 from gbid.identify.problem.initial_states import InitialStates
 
@@ -57,17 +60,17 @@ def build_problem(
     scale = float(np.sqrt(power / data.n_samples))
     problem = Shooting(assembly.parts, assembly.links, criterion, weights, scale, ones, np.ones(n), known)
     values = problem.values(theta)
-    squares = [
-        np.mean(part.kernel.passed(v, part.blocks, np.zeros((n, len(part.blocks.size)))).states ** 2, axis=(0, 1, 3))
-        for v, part in zip(values, problem.parts, strict=True)
-    ]
-    size = np.sqrt(np.max(squares, axis=0))
+    size = _sizes_of_states(problem, values, np.zeros((problem.n_windows, n)))
     sweeps = problem.sweeps(values, np.zeros((problem.n_windows, n)), np.diag(weights) / power)
     hessian = np.concatenate([s.hessian_start for s in sweeps])
     seen = np.sqrt(hessian.sum(axis=0).diagonal())  # of the outputs' own size, over states at the starts of windows
     alone = np.where(np.isfinite(seen) & (seen > 0), 1 / np.maximum(seen, np.finfo(float).tiny), 1.0)
     state_scale = np.where(np.isfinite(size) & (size > 0), size, alone)
     starts = -_ridge_solve(hessian, np.concatenate([s.gradient_start for s in sweeps]), state_scale)
+    if any(isinstance(part.kernel, NonlinearKernel) for part in problem.parts):
+        starts, sweeps = _nonlinear_starts(problem, values, np.diag(weights) / power, starts)
+        size = _sizes_of_states(problem, values, starts)
+        state_scale = np.where(np.isfinite(size) & (size > 0), size, state_scale)
     products = problem.error_products(values, starts)
     curvature = known.information / problem.likelihood_size
     if np.isfinite(products).all():  # the pass above, in units of the errors at these starts
@@ -78,9 +81,34 @@ def build_problem(
     theta_scale = np.where(curvature > 0, 1 / np.sqrt(np.maximum(curvature, 1e-300)), magnitude)
     if not scaling:
         theta_scale, state_scale = ones, np.ones(n)
-    stable = all(isinstance(v, PredictorValues) for v in values) and spectral_radius(values) <= 1
-    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, stable_only=stable, _last={}, _met={})
-    return problem, problem.pack(theta, starts)
+    problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, _last={}, _met={})
+    unknowns = problem.pack(theta, starts)
+    return replace(problem, stable_only=problem.rate(unknowns) <= 1, _last={}, _met={}), unknowns
+
+
+def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -> FloatArray:
+    """Return the root mean square of each state in a simulation from the starts of windows, in the largest part."""
+    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
+    squares = [
+        np.mean(part.kernel.predict(v, part.blocks, starts[a:b]).states ** 2, axis=(0, 1, 3))
+        for v, part, (a, b) in zip(values, problem.parts, firsts, strict=True)
+    ]
+    return np.asarray(np.sqrt(np.max(squares, axis=0)))
+
+
+def _nonlinear_starts(
+    problem: Shooting, values: list[Any], weight: FloatArray, first: FloatArray
+) -> tuple[FloatArray, list[Sweep]]:
+    """Return the starts of all windows and the passes from there, see `window_starts`."""
+    starts, sweeps = [], []
+    firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
+    for v, part, (a, b) in zip(values, problem.parts, firsts, strict=True):
+        assert isinstance(part.predictor, NonlinearPredictor)
+        assert isinstance(part.kernel, NonlinearKernel)
+        found = window_starts(part.predictor, part.kernel, v, part.blocks, weight, first[a:b])
+        starts.append(found[0])
+        sweeps.append(tied(found[1], part.tie))
+    return np.concatenate(starts), sweeps
 
 
 def unknown_bounds(

@@ -208,7 +208,7 @@ def _sensitivities(
             )
             segments.append((own, part.index, chains[at][0]))
             if part.predictor.feeds_back and part.predictor.horizon == 1:
-                feedback = values[k], part.index
+                feedback = part.kernel.feedback(values[k], cuts[k], predictions[k]), part.index
         yield joined_segments(segments, feedback)
 
 
