@@ -60,7 +60,7 @@ def window_starts(
     for _ in range(_ROUNDS):
         found = kernel.sweep(v, blocks, starts, weight)
         H, g = found.hessian_start, found.gradient_start
-        usable = np.isfinite(H).all(axis=(1, 2)) & np.isfinite(g).all(axis=1)
+        usable = np.array(np.isfinite(H).all(axis=(1, 2)) & np.isfinite(g).all(axis=1), bool)
         H, g = np.where(usable[:, None, None], H, np.eye(H.shape[1])), np.where(usable[:, None], g, 0.0)
         own = np.diagonal(H, axis1=1, axis2=2)
         ridge = damping[:, None] * (own + 1e-9 * own.sum(axis=1, keepdims=True)) + np.finfo(float).tiny
