@@ -20,6 +20,7 @@ from gbid.cli.report import report
 from gbid.cli.reproduce import reproduce
 from gbid.cli.run import run
 from gbid.cli.schema import schema
+from gbid.cli.serving import serve
 from gbid.cli.stage_verbs import STAGE_VERBS, command_of
 
 app = typer.Typer(
@@ -103,6 +104,11 @@ app.command(
     rich_help_panel=REPORT,
     epilog=examples("gbid report rig1/experiment.yaml", "gbid report rig1/experiment.yaml --output report.html"),
 )(report)
+app.command(
+    "serve",
+    rich_help_panel=REPORT,
+    epilog=examples("gbid serve rig1/experiment.yaml --browser", "gbid serve rig1/experiment.yaml --port 0"),
+)(serve)
 
 
 def main() -> None:

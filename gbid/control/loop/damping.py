@@ -20,8 +20,7 @@ def smallest_damping(model: LinearModel) -> float:
     """
     poles = model.poles()
     real = poles[is_real(poles)].real
-    growing = real >= 0 if model.dt is None else real >= 1
-    if growing.any():
+    if (real >= 0).any():
         return -1.0
     lasting = inf if model.dt is None else 1 / model.dt
     return min((damping for hz, damping in model.modes() if 2 * pi * hz * damping < lasting), default=inf)

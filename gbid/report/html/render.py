@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -37,18 +37,7 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
     str
         HTML text.
     """
-    loader = FunctionLoader(_read)
-    environment = Environment(
-        loader=loader,
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=lambda value: printable(value) if type(value) is str else value,
-    )
-    environment.filters["embedded"] = _embedded
-    environment.filters["html_table"] = lambda table: Markup(html_table(table))
-    page = environment.get_template("report.html.j2")
+    page = environment(page_part).get_template("report.html.j2")
     return page.render(
         title=title or name,
         name=name,
@@ -56,19 +45,43 @@ def render(title: str, name: str, sections: Sequence[PageSection], left_out: Seq
         left_out=left_out,
         key=key,
         version=__version__,
-        style=Markup(_read("style.css")),
-        scripts=[Markup(_script(script)) for script in SCRIPTS],
+        style=Markup(page_part("style.css")),
+        scripts=[script(page_part(name)) for name in SCRIPTS],
     )
 
 
-def _read(name: str) -> str:
+def environment(read: Callable[[str], str]) -> Environment:
+    """Return the template environment of pages.
+
+    Parameters
+    ----------
+    read : callable
+        Function that returns the text of a template by its name.
+    """
+    made = Environment(
+        loader=FunctionLoader(read),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        finalize=lambda value: printable(value) if type(value) is str else value,
+    )
+    made.filters["embedded"] = _embedded
+    made.filters["html_table"] = lambda table: Markup(html_table(table))
+    return made
+
+
+def page_part(name: str) -> str:
+    """Return the text of a template, script or style of the page."""
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _script(name: str) -> str:
-    """Return a script, without the lines for programs outside of the page."""
-    lines = _read(name).splitlines()
-    return "\n".join(line for line in lines if line != '"use strict";' and not line.startswith("if (typeof module"))
+def script(text: str) -> Markup:
+    """Return a script for a page, without the lines for programs outside of it."""
+    lines = text.splitlines()
+    return Markup(
+        "\n".join(line for line in lines if line != '"use strict";' and not line.startswith("if (typeof module"))
+    )
 
 
 def _embedded(value: Any) -> Markup:

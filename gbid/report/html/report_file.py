@@ -53,7 +53,7 @@ def write_report(job: Job, path: Path | None = None) -> Outcome:
     """
     path = job.experiment.results / NAME if path is None else path
     results = Results(job)
-    key = _key(results)
+    key = report_key(results)
     mine = bool(stored_key(path))
     job = replace(job, overwrite=job.overwrite or mine)
 
@@ -95,8 +95,8 @@ def _with_named(section: PageSection, results: Results, pictures: Pictures) -> P
     return replace(section, blocks=blocks)
 
 
-def _key(results: Results) -> str:
-    """Return the content key: the states of all results and the keys of their files."""
+def report_key(results: Results) -> str:
+    """Return the content key of the report: the states of all results and the keys of their files."""
     experiment = results.experiment
     standings = [[f.stage, f.item, f.state, f.text] for f in results.standings]
     made = [stored_key(path) for folder in _FOLDERS for path in sorted((experiment.results / folder).glob("*.*"))]

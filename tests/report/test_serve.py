@@ -1,0 +1,171 @@
+"""Server of the results: pages, loops by the library, and only for this machine."""
+
+import json
+import re
+import subprocess
+import threading
+import urllib.error
+import urllib.request
+from http.client import HTTPConnection
+
+import numpy as np
+import pytest
+from browser import find_chromium
+
+import gbid
+from gbid.control import controller_model, controller_structure, sampled_loop, sensitivities
+from gbid.control.assessment.assess import assess
+from gbid.control.assessment.tuned_design import DesignFigures
+from gbid.control.impact.half_sine import HalfSine, impact_response
+from gbid.control.loop.sampled import exact_plant
+from gbid.errors import UsageError
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.stage import run_stage
+from gbid.experiment.stages.rig.stage import RIG
+from gbid.report.reader.designs import AssessedDesign
+from gbid.serve import open_server
+from gbid.serve.explored_loop import Explored, explored_loop
+
+PAPER = gbid.load_model("theisen2016")
+CHROMIUM = find_chromium()
+
+EXPERIMENT = """
+format: 1
+name: served
+rig:
+  model: theisen2016
+  operating_points: [{pressure_bar: 6.0, speed_rpm: 0}]
+  duration_s: 0.6
+  prbs: {recordings: 1, amplitude_m: 4.5e-6, hold_s: 20e-3}
+fits:
+  piezos: {structure: piezo_pair}
+"""
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("served")
+    (folder / "e.yaml").write_text(EXPERIMENT, encoding="utf-8")
+    server = open_server(folder / "e.yaml")
+    thread = threading.Thread(target=server.serve_forever, daemon=True)
+    thread.start()
+    yield server, folder
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def get(server, path):
+    with urllib.request.urlopen(server.address + path, timeout=60) as answer:
+        return answer.read().decode()
+
+
+def refused(server, path):
+    with pytest.raises(urllib.error.HTTPError) as caught:
+        get(server, path)
+    return caught.value.code, caught.value.read().decode()
+
+
+def test_the_state_and_the_page_follow_what_is_made(served):
+    server, folder = served
+    before = json.loads(get(server, "state"))
+    assert before["stages"]["rig"] == {"missing": 2}
+    page = get(server, "")
+    assert f"content_key: {before['key']} " in page
+    assert 'id="follow-words"' in page
+    run_stage(Job(load_experiment(folder / "e.yaml")), RIG)
+    after = json.loads(get(server, "state"))
+    assert after["stages"]["rig"] == {"there": 2}
+    assert after["key"] != before["key"]
+
+
+def test_only_this_machine_and_only_these_pages(served):
+    server, _ = served
+    assert server.server_address[0] == "127.0.0.1"
+    connection = HTTPConnection("127.0.0.1", server.server_address[1])
+    connection.request("GET", "/state", headers={"Host": f"elsewhere.example:{server.server_address[1]}"})
+    assert connection.getresponse().status == 403
+    connection.close()
+    assert refused(server, "../e.yaml")[0] == 404
+    assert "published" in get(server, "explorer")  # without a controller of its own it has that of the machine
+    assert refused(server, "loop?pressure_bar=6")[1].startswith("loop: 'speed_rpm'; give pressure_bar, speed_rpm")
+    assert refused(server, "loop?design=none") == (400, "no design 'none'; there are published")
+    with pytest.raises(UsageError, match=f"port {server.server_address[1]}: .*; choose another with --port"):
+        open_server(served[1] / "e.yaml", port=server.server_address[1])
+
+
+def design_of(kind, gains):
+    structure = controller_structure(kind)
+    figures = DesignFigures.of(assess(PAPER, structure, gains, [(6.0, 0.0)]))
+    return AssessedDesign(kind, kind, figures, structure, PAPER, HalfSine(), 2e-4, "tustin", 2.0)
+
+
+GAINS = {"kappa_x": 0.9, "kappa_y": 0.7, "kd_x": 0.2, "kd_y": -0.1}
+
+
+@pytest.mark.parametrize("sampled", [False, True])
+def test_explored_loops_are_those_of_the_library(sampled):
+    design = design_of("PD", dict.fromkeys(GAINS, 0.0))
+    found = explored_loop(design, Explored(5.0, 3000.0, GAINS, "y", sampled))
+    controller = controller_model(design.structure, GAINS)
+    plant = PAPER.plant_at(5.0, 3000.0)
+    if sampled:
+        loop = sampled_loop(exact_plant(PAPER, 5.0, 3000.0), controller, 2e-4)
+        damping, peak, curves = loop.damping, loop.peak_output, loop.sensitivities
+    else:
+        curves = sensitivities(plant, controller)
+        modes = curves.model("plant").modes()
+        damping, peak = min(z for _, z in modes), curves.peak("output")
+        np.testing.assert_allclose([(f, z) for f, z, _ in found["modes"]], modes)
+    assert found["damping"] == pytest.approx(damping)
+    assert found["peak"]["value"] == pytest.approx(peak.value)
+    assert found["modes"][0][2] == pytest.approx(2 * np.pi * found["modes"][0][0] * found["modes"][0][1])
+    k = 140
+    S = curves.response("output", [found["frequency_hz"][k]])[0]
+    assert found["largest"][k] == pytest.approx(np.linalg.norm(S, 2))
+    assert found["yy"][k] == pytest.approx(abs(S[1, 1]))
+    response = impact_response(plant, controller, HalfSine().towards(90.0), duration_s=0.2)
+    np.testing.assert_allclose(found["closed_m"], response.p[::10, 1])
+    json.dumps(found, allow_nan=False)
+
+
+def test_explored_loop_that_is_unstable_and_wrong_questions():
+    design = design_of("P", {"kappa_x": 0.5, "kappa_y": 0.5})
+    found = explored_loop(design, Explored(6.0, 0.0, {"kappa_x": 2.9}))
+    assert not found["stable"]
+    assert found["peak"]["value"] is None
+    json.dumps(found, allow_nan=False)
+    for asked, text in (
+        (Explored(6.0, 0.0, {"kappa": 1.0}), "no gain 'kappa'"),
+        (Explored(6.0, 0.0, {}, "z"), "axis = 'z'"),
+        (Explored(6.0, 0.0, {"kappa_x": np.inf}), "finite"),
+        (Explored(9.0, 0.0, {}), "outside its domain"),
+    ):
+        with pytest.raises(UsageError, match=text):
+            explored_loop(design, asked)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium for the tests in the browser")
+def test_the_explorer_in_a_browser(served, monkeypatch):
+    server, _ = served
+    designs = {"PD": design_of("PD", GAINS), "biquad": design_of("biquad", biquad_gains())}
+    monkeypatch.setattr("gbid.serve.live.Live.designs", lambda self: designs)
+    arguments = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom")
+    made = subprocess.run(
+        [CHROMIUM, *arguments, f"{server.address}explorer"], capture_output=True, text=True, timeout=120
+    )
+    text = made.stdout
+    assert re.search(r'<ul id="page-errors"[^>]*hidden=""></ul>', text), re.search(r'<ul id="page-errors".*', text)[0]
+    shown = json.loads(re.search(r'data-shown="([^"]*)"', text)[1].replace("&quot;", '"'))
+    expected = explored_loop(designs["PD"], Explored(6.0, 0.0, {}))
+    assert shown == {"damping": expected["damping"], "peak": expected["peak"]["value"]}
+    assert text.count("<svg") >= 3
+    assert 'id="c-kd_x"' in text
+    assert "biquad (biquad)" in text
+    loop = json.loads(get(server, "loop?design=biquad&pressure_bar=6&speed_rpm=0&sampled=1"))
+    assert loop["stable"]
+
+
+def biquad_gains():
+    return {parameter.name: parameter.start for parameter in controller_structure("biquad").parameters}
