@@ -50,8 +50,9 @@ def _runge_kutta(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX], step: ca.SX) 
 
 def _rosenbrock(f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX], step: ca.SX) -> ca.SX:
     first, last = u
+    free = {"allow_free": True}  # what stays constant within the step
     at, under = (ca.SX.sym(name, n) for name, n in (("x", x.numel()), ("u", first.numel())))
-    slopes = ca.Function("slopes", [at, under], [ca.jacobian(f(at, under), each) for each in (at, under)])
+    slopes = ca.Function("slopes", [at, under], [ca.jacobian(f(at, under), each) for each in (at, under)], free)
     J, Ju = slopes(x, first)
     Q, R = ca.qr(ca.densify(2 / step * ca.SX.eye(x.numel()) - J))
     drift = ca.mtimes(Ju, last - first)  # the time derivative times the step

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from gbid.errors import UsageError
 from gbid.structure.linear import in_one_line
@@ -105,6 +106,11 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
             raise UsageError(
                 f"structure {structure.name!r}: {what} contains symbols that are none of its own: {', '.join(foreign)}"
             )
+        if any(np.isnan(c) for c in _constants(function)):
+            raise UsageError(
+                f"structure {structure.name!r}: {what} contains nan: a function that is not casadi's, such as "
+                "math.sin or float, was applied to a symbol; use functions of casadi, such as casadi.sin"
+            )
     return Equations(x, u, p, dx, y, K, x0)
 
 
@@ -113,6 +119,11 @@ def jumps_in(equations: Equations) -> tuple[str, ...]:
     function = ca.Function("f", list(equations[:3]), [equations.dx, equations.y])
     met = {function.instruction_id(k) for k in range(function.n_instructions())}
     return tuple(name for operation, name in _JUMPS.items() if operation in met)
+
+
+def _constants(function: ca.Function) -> list[float]:
+    every = range(function.n_instructions())
+    return [float(function.instruction_constant(k)) for k in every if function.instruction_id(k) == ca.OP_CONST]
 
 
 def _symbols(names: Sequence[str]) -> ca.SX:
