@@ -114,16 +114,20 @@ def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[P
     list of pathlib.Path
         What was removed.
     """
-    removed = []
-    for path in list(folder.glob(pattern)):
-        found = _OURS.search(path.name)
-        if found and _is_stale(path, found["host"], int(found["process"]), found["begun"]):
-            if path.is_dir():
-                shutil.rmtree(path, ignore_errors=True)
-            else:
-                path.unlink(missing_ok=True)
-            removed.append(path)
+    removed = find_stale_parts(folder, pattern)
+    for path in removed:
+        if path.is_dir():
+            shutil.rmtree(path, ignore_errors=True)
+        else:
+            with contextlib.suppress(OSError):  # gone meanwhile, or on a disk for reading only
+                path.unlink()
     return removed
+
+
+def find_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
+    """Return what `remove_stale_parts` would remove."""
+    matched = [(path, _OURS.search(path.name)) for path in folder.glob(pattern)]
+    return [path for path, m in matched if m and _is_stale(path, m["host"], int(m["process"]), m["begun"])]
 
 
 def _prefix(name: str) -> str:

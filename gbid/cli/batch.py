@@ -7,7 +7,19 @@ from typing import Annotated
 import typer
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
+from gbid.cli.options import (
+    AsJson,
+    Debug,
+    DryRun,
+    Engine,
+    ExperimentPath,
+    Overwrite,
+    Quiet,
+    Results,
+    Retry,
+    Verbose,
+    Workers,
+)
 
 
 def batch(
@@ -24,6 +36,9 @@ def batch(
     collect: Annotated[bool, typer.Option("--collect", help="Run nothing; make the table of existing fits.")] = False,
     results: Results = None,
     overwrite: Overwrite = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -33,11 +48,14 @@ def batch(
         from gbid.campaign.run import run_campaign, working
         from gbid.campaign.shard import read_shard
         from gbid.cli.documents import campaign_document
+        from gbid.cli.dry_run import print_plan
         from gbid.cli.ending import finish, outcome_rows
+        from gbid.cli.manner import Manner
         from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
         from gbid.experiment.load import load_experiment
+        from gbid.experiment.stages import registry
         from gbid.report.tables.campaign_tables import campaign_tables
 
         part = read_shard(shard) if shard is not None else None
@@ -46,8 +64,12 @@ def batch(
         loaded = load_experiment(experiment, results)
         if not loaded.spec.fits:
             raise UsageError(f"{experiment}: no section 'fits'; add one")
+        if dry_run:
+            early = [stage for stage in registry.STAGES if stage.early]
+            print_plan(loaded, early, as_json, overwrite=overwrite, retry=retry)
+            return
         with (
-            reporting() as reporter,
+            reporting(quiet, verbose) as reporter,
             working(
                 loaded,
                 overwrite=overwrite,
@@ -70,4 +92,4 @@ def batch(
         else:
             print_tables(*campaign_tables(document))
             typer.echo("\n".join([*(f"table: {path}" for path in document["table"]), f"results: {loaded.results}"]))
-        finish(outcomes)
+        finish(outcomes, advice=Manner("batch", quiet=quiet).advice(loaded) if part is None else "")

@@ -21,11 +21,14 @@ def check(
 ) -> None:
     """Check an experiment YAML, the data that it imports and the disk space for its results; report all problems."""
     with guarded(as_json, debug):
+        from gbid.cli.next_step import next_step
         from gbid.cli.printing import print_json, print_notes
+        from gbid.cli.telling import tell
         from gbid.experiment.changed_files import changed_files
-        from gbid.experiment.data_checks import find_data_problems, size
+        from gbid.experiment.data_checks import find_data_problems
         from gbid.experiment.load import load_experiment
         from gbid.experiment.stages.importing.stage import find_import_problems
+        from gbid.tables.numbers import file_size
 
         loaded = load_experiment(experiment, results)
         problems, code, (needed, free) = find_data_problems(loaded)
@@ -36,7 +39,7 @@ def check(
                 code = max(code, own)
         print_notes(changed_files(loaded))
         for text in problems:
-            typer.echo(f"gbid: error: {text}", err=True)
+            tell(f"gbid: error: {text}")
         spec = loaded.spec
         if as_json:
             print_json(
@@ -53,6 +56,7 @@ def check(
         elif not problems:
             fits = f"{len(spec.fits)} fit{'s' * (len(spec.fits) != 1)}"
             typer.echo(f"{experiment}: nothing wrong: {len(loaded.recordings)} recordings, {fits}")
-            typer.echo(f"results in {loaded.results}: about {size(needed)}, {size(free)} free", err=True)
+            tell(f"results in {loaded.results}: about {file_size(needed)}, {file_size(free)} free")
+            tell(f"next: {next_step(loaded, 'check')}")
         if problems:
             raise typer.Exit(code)

@@ -33,7 +33,7 @@ def outcome_rows(outcomes: Sequence[Outcome]) -> list[dict[str, Any]]:
     ]
 
 
-def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = ()) -> None:
+def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] = (), advice: str = "") -> None:
     """Say on standard error what failed, and end with the exit code: the lowest that applies, or 0.
 
     The last line is the first cause. Results whose inputs failed in this run have no lines of their own.
@@ -44,6 +44,8 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
         Outcomes of the verb.
     validated : sequence of dict
         Rows of cross-validations as documents.
+    advice : str
+        Command to give next when all went well; empty for none.
     """
     failed = [o for o in outcomes if o.state == "failed"]
     stuck = [o for o in outcomes if o.state != "failed" and not o.converged]
@@ -63,6 +65,8 @@ def finish(outcomes: Sequence[Outcome], validated: Sequence[Mapping[str, Any]] =
         tell(f"gbid: {line}")
     if code:
         raise typer.Exit(code)
+    if advice:
+        tell(f"next: {advice}")
 
 
 def _exit_code(failed: Sequence[Outcome], stuck: Sequence[Outcome], missed: Sequence[Mapping[str, Any]]) -> int:

@@ -63,6 +63,7 @@ def export(
     """Write models and controllers for other programs."""
     with guarded(as_json, debug):
         from gbid.cli.printing import print_json, print_notes
+        from gbid.cli.telling import tell
         from gbid.exporters.export_target import ExportRequest
         from gbid.exporters.finding import find_exports
         from gbid.exporters.writing import write_exports
@@ -77,4 +78,4 @@ def export(
             typer.echo("\n".join(files))
         print_notes(found.notes)
         for text in found.left_out:
-            typer.echo(f"gbid: warning: left out: {text}", err=True)
+            tell(f"gbid: warning: left out: {text}")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, Engine, Overwrite, Results, Retry, Workers
+from gbid.cli.options import AsJson, Debug, DryRun, Engine, Overwrite, Quiet, Results, Retry, Verbose, Workers
 from gbid.cli.stage_verbs import OR_RUN
 
 
@@ -41,6 +41,9 @@ def import_recordings(
     engine: Engine = "auto",
     workers: Workers = None,
     retry: Retry = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -61,13 +64,14 @@ def import_recordings(
                     typer.echo(f"read as text: {layout_words(layout)}")
                 print_tables(channel_table(experiment.name, rows))
             return
+        from gbid.cli.manner import Manner
         from gbid.cli.stages import run_stages
 
         run_stages(
             ("import",),
             experiment,
             results,
-            as_json,
+            Manner("import", as_json, quiet, verbose, dry_run),
             OR_RUN,
             overwrite=overwrite,
             engine=engine,

@@ -10,6 +10,8 @@ import typer
 from gbid._version import __version__
 from gbid.cli.batch import batch
 from gbid.cli.check import check
+from gbid.cli.clean import clean
+from gbid.cli.doctor import doctor
 from gbid.cli.exporting import export
 from gbid.cli.figures import figures
 from gbid.cli.fit import fit
@@ -33,6 +35,7 @@ app = typer.Typer(
         "gbid fit --help                   # options and examples of a verb",
     ),
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
@@ -64,6 +67,12 @@ app.command(
     rich_help_panel=START,
     epilog=examples("gbid run rig1/experiment.yaml", "gbid run rig1/experiment.yaml --json > results.json"),
 )(run)
+app.command(
+    "clean",
+    rich_help_panel=START,
+    epilog=examples("gbid clean rig1/experiment.yaml --dry-run", "gbid clean rig1/experiment.yaml --everything"),
+)(clean)
+app.command("doctor", rich_help_panel=START, epilog=examples("gbid doctor", "gbid doctor --json"))(doctor)
 app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
     schema
 )

@@ -35,4 +35,7 @@ Workers = Annotated[
 ]
 Retry = Annotated[bool, typer.Option("--retry", help="Try failed items with the same settings and data again.")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on standard output, in SI units.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no advice; errors are told.")]
+Verbose = Annotated[bool, typer.Option("--verbose", "-v", help="A line for each item and each iteration.")]
+DryRun = Annotated[bool, typer.Option("--dry-run", help="Say what would be done, and do nothing.")]
 Debug = Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")]

@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from gbid.cli.telling import tell
+
 if TYPE_CHECKING:
     from gbid.tables.table import Table
 
@@ -19,7 +21,7 @@ _PIPE_WIDTH = 140
 def print_notes(notes: Iterable[str]) -> None:
     """Print notes on standard error, one a line."""
     for text in notes:
-        typer.echo(f"gbid: note: {text}", err=True)
+        tell(f"gbid: note: {text}")
 
 
 def print_json(document: Mapping[str, Any]) -> None:

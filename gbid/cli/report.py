@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Results
+from gbid.cli.options import AsJson, Debug, ExperimentPath, Quiet, Results, Verbose
 
 
 def report(
@@ -21,12 +21,16 @@ def report(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace the report, also a file that gbid did not write.")
     ] = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
     """Write one self-contained HTML file with the existing results; nothing else is computed."""
     with guarded(as_json, debug):
+        from gbid.atomic import remove_stale_parts
         from gbid.cli.ending import finish, outcome_rows
+        from gbid.cli.manner import Manner
         from gbid.cli.printing import print_json
         from gbid.cli.progress import reporting
         from gbid.errors import UsageError
@@ -37,10 +41,13 @@ def report(
         loaded = load_experiment(experiment, results)
         if not loaded.results.is_dir():
             raise UsageError(f"{loaded.results}: no results yet; run `gbid run {experiment}` first")
-        with reporting() as reporter:
+        remove_stale_parts(loaded.results)
+        if output is not None:
+            remove_stale_parts(output.parent, f".{output.name}.*")
+        with reporting(quiet, verbose) as reporter:
             outcome = write_report(Job(loaded, overwrite, reporter), output)
         if as_json:
             print_json({"report": str(outcome.path), "outcomes": outcome_rows([outcome])})
         elif outcome.state != "failed":
             typer.echo(f"report: {outcome.path}")
-        finish([outcome])
+        finish([outcome], advice=Manner("report", quiet=quiet).advice(loaded))

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Results
+from gbid.cli.options import AsJson, Debug, ExperimentPath, Overwrite, Quiet, Results, Verbose
 
 
 def reproduce(
@@ -18,6 +18,8 @@ def reproduce(
         Path | None, typer.Option("--output", metavar="FILE", help="Also write the rows to this file, as JSON.")
     ] = None,
     overwrite: Overwrite = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -25,8 +27,9 @@ def reproduce(
     with guarded(as_json, debug):
         import json
 
-        from gbid.atomic import atomic_path
+        from gbid.atomic import atomic_path, remove_stale_parts
         from gbid.cli.ending import finish
+        from gbid.cli.manner import Manner
         from gbid.cli.printing import print_json, print_tables
         from gbid.cli.progress import reporting
         from gbid.experiment.load import load_experiment
@@ -35,7 +38,8 @@ def reproduce(
         from gbid.report.paper.reproduction_tables import reproduction_tables
 
         loaded = load_experiment(experiment, results)
-        with reporting() as reporter:
+        remove_stale_parts(loaded.results)
+        with reporting(quiet, verbose) as reporter:
             outcomes, document = write_reproduction(Job(loaded, overwrite, reporter))
         if output is not None:
             with atomic_path(output, overwrite=True) as part:
@@ -45,4 +49,4 @@ def reproduce(
         else:
             print_tables(*reproduction_tables(document))
             typer.echo("\n".join(f"written: {outcome.path}" for outcome in outcomes))
-        finish(outcomes)
+        finish(outcomes, advice=Manner("reproduce", quiet=quiet).advice(loaded))

@@ -5,7 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
+from gbid.cli.options import (
+    AsJson,
+    Debug,
+    DryRun,
+    Engine,
+    ExperimentPath,
+    Overwrite,
+    Quiet,
+    Results,
+    Retry,
+    Verbose,
+    Workers,
+)
 
 
 def run(
@@ -15,6 +27,9 @@ def run(
     engine: Engine = "auto",
     workers: Workers = None,
     retry: Retry = False,
+    dry_run: DryRun = False,
+    quiet: Quiet = False,
+    verbose: Verbose = False,
     as_json: AsJson = False,
     debug: Debug = False,
 ) -> None:
@@ -25,7 +40,9 @@ def run(
         from gbid.campaign.collect import collect
         from gbid.campaign.run import run_campaign, working
         from gbid.cli.documents import campaign_document
+        from gbid.cli.dry_run import print_plan
         from gbid.cli.ending import finish, outcome_rows
+        from gbid.cli.manner import Manner
         from gbid.cli.printing import print_json, print_notes, print_tables
         from gbid.cli.progress import reporting
         from gbid.cli.tally import MANY
@@ -39,10 +56,13 @@ def run(
         from gbid.report.html import write_report
         from gbid.report.tables.campaign_tables import campaign_tables
 
-        loaded = load_experiment(experiment, results)
+        loaded, how = load_experiment(experiment, results), Manner("run", as_json, quiet, verbose, dry_run)
+        if dry_run:
+            print_plan(loaded, registry.STAGES, as_json, overwrite=overwrite, retry=retry)
+            return
         print_notes(changed_files(loaded))
         with (
-            reporting() as reporter,
+            reporting(quiet, verbose) as reporter,
             working(loaded, overwrite=overwrite, retry=retry, reporter=reporter, engine=engine, workers=workers) as job,
         ):
             outcomes = run_campaign(job)
@@ -70,4 +90,4 @@ def run(
             typer.echo("\n".join([*(f"figure: {path}" for path in figures), f"results: {loaded.results}"]))
             if written.state != "failed":
                 typer.echo(f"report: {written.path}")
-        finish(outcomes, document["crossval"])
+        finish(outcomes, document["crossval"], how.advice(loaded))

@@ -7,7 +7,19 @@ from dataclasses import dataclass
 
 from gbid.cli.groups import CONTROL, DATA, IDENTIFY
 from gbid.cli.guard import guarded
-from gbid.cli.options import AsJson, Debug, Engine, ExperimentPath, Overwrite, Results, Retry, Workers
+from gbid.cli.options import (
+    AsJson,
+    Debug,
+    DryRun,
+    Engine,
+    ExperimentPath,
+    Overwrite,
+    Quiet,
+    Results,
+    Retry,
+    Verbose,
+    Workers,
+)
 
 
 @dataclass(frozen=True)
@@ -94,17 +106,21 @@ def command_of(verb: StageVerb) -> Callable[..., None]:
         engine: Engine = "auto",
         workers: Workers = None,
         retry: Retry = False,
+        dry_run: DryRun = False,
+        quiet: Quiet = False,
+        verbose: Verbose = False,
         as_json: AsJson = False,
         debug: Debug = False,
     ) -> None:
         with guarded(as_json, debug):
+            from gbid.cli.manner import Manner
             from gbid.cli.stages import run_stages
 
             run_stages(
                 verb.stages,
                 experiment,
                 results,
-                as_json,
+                Manner(verb.name, as_json, quiet, verbose, dry_run),
                 verb.hint,
                 overwrite=overwrite,
                 engine=engine,

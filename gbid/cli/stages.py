@@ -8,12 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from gbid.campaign.run import working
+from gbid.cli.dry_run import print_plan
 from gbid.cli.ending import finish, outcome_rows
+from gbid.cli.manner import Manner
 from gbid.cli.printing import print_json, print_notes, print_tables
 from gbid.cli.progress import reporting
 from gbid.cli.views import view_of
 from gbid.errors import UsageError
 from gbid.experiment.changed_files import changed_files
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
@@ -22,17 +25,19 @@ from gbid.experiment.stages import registry
 
 
 @contextmanager
-def opened(path: Path, sections: Sequence[str], results: Path | None, hint: str = "", **options: Any) -> Iterator[Job]:
-    """Return a context that loads an experiment, locks its results folder and gives the job to run.
+def opened(
+    experiment: Experiment, sections: Sequence[str], how: Manner, hint: str = "", **options: Any
+) -> Iterator[Job]:
+    """Return a context that locks the results folder of an experiment and gives the job to run.
 
     Parameters
     ----------
-    path : path
-        The YAML.
+    experiment : Experiment
+        The experiment.
     sections : sequence of str
         Sections of which the YAML must have at least one.
-    results : path, optional
-        Folder of the results, instead of the folder that the YAML names.
+    how : Manner
+        How much is said.
     hint : str
         Further advice when the YAML has none of the sections.
     **options
@@ -43,33 +48,44 @@ def opened(path: Path, sections: Sequence[str], results: Path | None, hint: str 
     UsageError
         When the YAML has none of the sections.
     """
-    experiment = load_experiment(path, results)
-    if not any(experiment.file.data.get(section) for section in sections):
-        words = " or ".join(repr(section) for section in sections)
-        raise UsageError(f"{path}: no section {words}; add one{hint}")
+    _check_sections(experiment, sections, hint)
     print_notes(changed_files(experiment))
-    with reporting() as reporter, working(experiment, reporter=reporter, **options) as job:
+    with (
+        reporting(how.quiet, how.verbose) as reporter,
+        working(experiment, reporter=reporter, **options) as job,
+    ):
         yield job
 
 
+def _check_sections(experiment: Experiment, sections: Sequence[str], hint: str) -> None:
+    if not any(experiment.file.data.get(section) for section in sections):
+        words = " or ".join(repr(section) for section in sections)
+        raise UsageError(f"{experiment.file.path}: no section {words}; add one{hint}")
+
+
 def run_stages(
-    names: Sequence[str], path: Path, results: Path | None, as_json: bool, hint: str = "", **options: Any
+    names: Sequence[str], path: Path, results: Path | None, how: Manner, hint: str = "", **options: Any
 ) -> None:
     """Run stages by name and print their results; the YAML must have the section of one of them."""
     stages = [stage for stage in registry.STAGES if stage.name in names]
-    with opened(path, [stage.section for stage in stages], results, hint, **options) as job:
+    experiment, sections = load_experiment(path, results), [stage.section for stage in stages]
+    if how.dry_run:
+        _check_sections(experiment, sections, hint)
+        print_plan(experiment, stages, how.as_json, overwrite=options["overwrite"], retry=options["retry"])
+        return
+    with opened(experiment, sections, how, hint, **options) as job:
         outcomes = [outcome for stage in stages for outcome in run_stage(job, stage)]
-    print_outcomes(job, stages, outcomes, as_json)
+    print_outcomes(job, stages, outcomes, how)
 
 
-def print_outcomes(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome], as_json: bool) -> None:
-    """Print the results of stages, and end with the exit code."""
+def print_outcomes(job: Job, stages: Sequence[Stage], outcomes: Sequence[Outcome], how: Manner) -> None:
+    """Print the results of stages, and end with the exit code and the next step."""
     document: dict[str, Any] = {}
     for stage in stages:
         document |= view_of(stage).document(job, outcomes)
-    if as_json:
+    if how.as_json:
         print_json({**document, "outcomes": outcome_rows(outcomes)})
     else:
         for stage in stages:
             print_tables(*view_of(stage).tables(document))
-    finish(outcomes, document.get("crossval", ()))
+    finish(outcomes, document.get("crossval", ()), how.advice(job.experiment))

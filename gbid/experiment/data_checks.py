@@ -20,6 +20,7 @@ from gbid.identify.problem.initial_states import initial_states
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import Peek, peek
 from gbid.structure import anatomy
+from gbid.tables.numbers import file_size
 
 PER_UNKNOWN = 10
 """Smallest number of samples per unknown of a fit."""
@@ -128,19 +129,9 @@ def space_problem(experiment: Experiment, needed: int, free: int) -> str:
     if needed <= free:
         return ""
     return (
-        f"{experiment.results}: the results need about {size(needed)}, {size(free)} are free; "
+        f"{experiment.results}: the results need about {file_size(needed)}, {file_size(free)} are free; "
         "make room, or write elsewhere with --results"
     )
-
-
-def size(count: int) -> str:
-    """Return a number of bytes as text with a unit, e.g. ``"1.2 MB"``."""
-    value = float(count)
-    for unit in ("B", "kB", "MB"):
-        if value < 1000:
-            return f"{value:.3g} {unit}"
-        value /= 1000
-    return f"{value:.3g} GB"
 
 
 def find_data_problems(experiment: Experiment) -> tuple[list[str], int, tuple[int, int]]:

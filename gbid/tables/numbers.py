@@ -75,3 +75,13 @@ def engineering(value: float | None, digits: int = 5, exponent: int | None = Non
         return f"{value:.{digits - 1}e}"
     text = f"{mantissa:.{decimals}f}"
     return f"{text}e{exponent}" if exponent else text
+
+
+def file_size(count: int) -> str:
+    """Return a number of bytes as text with a unit, e.g. ``"1.2 MB"``."""
+    value = float(count)
+    for unit in ("B", "kB", "MB"):
+        if value < 1000:
+            return f"{value:.3g} {unit}"
+        value /= 1000
+    return f"{value:.3g} GB"

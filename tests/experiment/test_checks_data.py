@@ -10,10 +10,11 @@ from experiment_files import gbid, write_quick, write_spring, write_spring_data
 from scipy.io import savemat
 
 from gbid.errors import DataError
-from gbid.experiment.data_checks import disk_space, find_data_problems, size
+from gbid.experiment.data_checks import disk_space, find_data_problems
 from gbid.experiment.load import load_experiment
 from gbid.recording import ImportMapping
 from gbid.recording.importers.peek import peek
+from gbid.tables.numbers import file_size
 
 FOLDER = """\
 format: 1
@@ -184,7 +185,7 @@ def test_a_short_look_agrees_with_the_recording(tmp_path):
 
 
 def test_sizes_in_words():
-    assert [size(n) for n in (12, 1200, 3_450_000, 2 * 10**12)] == ["12 B", "1.2 kB", "3.45 MB", "2e+03 GB"]
+    assert [file_size(n) for n in (12, 1200, 3_450_000, 2 * 10**12)] == ["12 B", "1.2 kB", "3.45 MB", "2e+03 GB"]
 
 
 def test_stretches_left_out_of_a_fit_are_left_out_of_its_validation(tmp_path, capsys):

@@ -67,12 +67,13 @@ def test_models_of_a_figure_need_the_same_channels(rec, result):
 
 def test_the_figures_section_draws_bode_diagrams_with_their_numbers(tmp_path):
     assert "crossval" in SPRING
-    path = write_spring(tmp_path, ("crossval:", "figures:\n  spring: {bode: true}\ncrossval:"))
+    path = write_spring(tmp_path, ("crossval:", "figures:\n  spring: {bode: true, formats: [pdf]}\ncrossval:"))
     assert gbid("run", path) == 0
     folder = tmp_path / "results" / "spring" / "figures"
     made = {file.name for file in folder.iterdir()}
     names = [f"spring_{a}_on_{b}_bode" for a, b in (("run1", "run2"), ("run2", "run1"))]
-    assert {f"{name}.{kind}" for name in names for kind in ("png", "pdf", "csv")} <= made
+    assert {f"{name}.{kind}" for name in names for kind in ("pdf", "csv")} <= made
+    assert not any(name.endswith(".png") for name in made)  # one format unless more are asked for
     lines = (folder / f"{names[0]}.csv").read_text().splitlines()
     assert lines[2].startswith("output,input,frequency_hz,magnitude,magnitude_std")
     assert gbid("run", path) == 0  # kept: the key in the text is found again

@@ -270,7 +270,8 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
     wanted = ("fig03_differential_pairing", "fig09_crossval_bearing", "fig11_stiffness", "fig20_sensitivities")
     figures = named_figures()
     monkeypatch.setattr(paper_files, "named_figures", lambda: {name: figures[name] for name in wanted})
-    result = call("figures", path, "--results", out, "--json")
+    formats = [word for kind in ("pdf", "svg", "png") for word in ("--format", kind)]
+    result = call("figures", path, "--results", out, "--json", *formats)
     assert result.exit_code == 0, result.output
     document = json.loads(result.stdout)
     left_out = {row["item"]: row["why"] for row in document["left_out"]}

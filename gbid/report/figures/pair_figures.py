@@ -30,7 +30,7 @@ FOLDER = "figures"
 
 
 def draw_figures(job: Job) -> list[Outcome]:
-    """Write ``figures/<fit>_<model>_on_<recording>.png`` and ``.pdf`` for each fit that is to be shown.
+    """Write ``figures/<fit>_<model>_on_<recording>.png``, or further formats, for each fit that is to be shown.
 
     What is shown are the pairs of the fit's cross-validation; without one, each model on its own recordings. Where
     the experiment asks for the residuals, they come as ``..._residuals``; Bode diagrams come as ``..._bode``, with the
@@ -48,7 +48,7 @@ def draw_figures(job: Job) -> list[Outcome]:
             job.reporter.end(outcomes[-1])
             continue
         section = job.experiment.spec.figures[fit]
-        pictures = [(name, _response, section.model_dump(exclude={"residuals", "bode"}))]
+        pictures = [(name, _response, section.model_dump(exclude={"residuals", "bode", "formats"}))]
         if section.residuals:
             pictures.append((f"{name}_residuals", _residuals, {"residuals": True}))
         if section.bode:
@@ -57,7 +57,7 @@ def draw_figures(job: Job) -> list[Outcome]:
             numbers = partial(_save_bode, job, fit, model, recording, key)
             outcomes.append(produce(job, "figure", f"{name}_bode.csv", path, key, numbers))
         for title, draw, settings in pictures:
-            for kind in ("png", "pdf"):
+            for kind in section.formats:
                 path = job.path(FOLDER, title, f".{kind}")
                 key = content_key("figure", {"kind": kind, **settings}, sources)
                 write = partial(_save, partial(draw, job, fit, model, recording), kind, key)

@@ -29,6 +29,7 @@ from gbid.tables.table import Table, plain_table
 
 FOLDER = "figures"
 KINDS = ("pdf", "svg", "png")
+"""Formats of figures."""
 PAST = ("designs", "designs_impacts")
 """Tables without counterpart in the paper."""
 REPRODUCTION = "reproduction"
@@ -49,8 +50,15 @@ class LeftOut:
     why: str
 
 
-def write_paper(job: Job) -> tuple[list[Outcome], list[LeftOut]]:
-    """Write ``figures/fig05_static_map.pdf``, ``.svg``, ``.png`` and so on, ``figures/table2_actuators.csv``, ``.md``.
+def write_paper(job: Job, kinds: Sequence[str] = KINDS[:1]) -> tuple[list[Outcome], list[LeftOut]]:
+    """Write ``figures/fig05_static_map.pdf`` and so on, ``figures/table2_actuators.csv``, ``.md``.
+
+    Parameters
+    ----------
+    job : Job
+        The job.
+    kinds : sequence of str
+        Formats of the figures: pdf, svg, png. Each takes its time.
 
     Returns
     -------
@@ -68,7 +76,7 @@ def write_paper(job: Job) -> tuple[list[Outcome], list[LeftOut]]:
     outcomes: list[Outcome] = []
     left_out: list[LeftOut] = []
     for figure in named_figures().values():
-        _collect(figure.name, partial(_figure, job, results, figure, sources), outcomes, left_out)
+        _collect(figure.name, partial(_figure, job, results, figure, sources, kinds), outcomes, left_out)
     for name, make in TABLES.items():
         _collect(name, partial(_table, job, results, name, make, sources), outcomes, left_out)
     return outcomes, left_out
@@ -140,18 +148,18 @@ def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcom
     outcomes += made
 
 
-def _figure(job: Job, results: Results, named: NamedFigure, sources: list[str]) -> list[Outcome]:
+def _figure(job: Job, results: Results, named: NamedFigure, sources: list[str], kinds: Sequence[str]) -> list[Outcome]:
     name = named.name
-    paths = {kind: job.path(FOLDER, name, f".{kind}") for kind in KINDS}
-    keys = {kind: content_key("paper figure", {"name": name, "kind": kind}, sources) for kind in KINDS}
-    stale = [kind for kind in KINDS if stored_key(paths[kind]) != keys[kind]]
+    paths = {kind: job.path(FOLDER, name, f".{kind}") for kind in kinds}
+    keys = {kind: content_key("paper figure", {"name": name, "kind": kind}, sources) for kind in kinds}
+    stale = [kind for kind in kinds if stored_key(paths[kind]) != keys[kind]]
     figure = _drawn(named, results) if stale else None
 
     def write(kind: str, part: Path) -> None:
         assert figure is not None
         save_figure(figure, part, kind=kind, note=f"content_key: {keys[kind]}")
 
-    return [produce(job, "figure", f"{name}.{kind}", paths[kind], keys[kind], partial(write, kind)) for kind in KINDS]
+    return [produce(job, "figure", f"{name}.{kind}", paths[kind], keys[kind], partial(write, kind)) for kind in kinds]
 
 
 def _table(

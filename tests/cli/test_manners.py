@@ -1,0 +1,132 @@
+"""Manners of the command line: -h, --quiet, -v, --dry-run, next steps, NO_COLOR, `gbid clean` and `gbid doctor`."""
+
+import io
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+from experiment_files import gbid, write_spring
+from places import ROOT
+
+from gbid.cli.live import LiveLine
+from gbid.cli.main import app
+
+
+@pytest.fixture(scope="module")
+def spring(tmp_path_factory):
+    path = write_spring(tmp_path_factory.mktemp("spring"))
+    assert gbid("import", path) == 0
+    return path
+
+
+def files_of(path):
+    return sorted(str(p.relative_to(path.parent)) for p in path.parent.rglob("*") if p.is_file())
+
+
+def test_short_help_of_every_verb(capsys):
+    for verb in ("", *(command.name for command in app.registered_commands)):
+        assert gbid(*filter(None, (verb, "-h"))) == 0
+        assert "--help" in capsys.readouterr().out
+
+
+def test_the_package_runs_as_a_module():
+    words = [sys.executable, "-m", "gbid", "--version"]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    run = subprocess.run(words, env=environment, capture_output=True, text=True, check=True)
+    assert run.stdout.startswith("gbid ")
+
+
+def test_quiet_says_nothing_beside_the_results(spring, capsys):
+    assert gbid("import", spring) == 0
+    loud = capsys.readouterr()
+    assert loud.err.splitlines() == ["import run1: kept", "import run2: kept", f"next: gbid fit {spring}"]
+    assert gbid("import", spring, "--quiet") == 0
+    quiet = capsys.readouterr()
+    assert (quiet.out, quiet.err) == (loud.out, "")
+
+
+def test_errors_are_told_when_quiet(spring, capsys):
+    assert gbid("rig", spring, "-q") == 2
+    assert "no section 'rig'" in capsys.readouterr().err
+
+
+def test_a_dry_run_counts_and_makes_nothing(spring, capsys):
+    before = files_of(spring)
+    assert gbid("run", spring, "--dry-run", "--json") == 0
+    plan = json.loads(capsys.readouterr().out)["plan"]
+    assert [(row["stage"], row["to_make"], row["there"]) for row in plan] == [
+        ("import", 0, 2),
+        ("fit", 2, 0),
+        ("crossval", None, None),
+    ]
+    assert gbid("fit", spring, "--dry-run") == 0
+    assert "nothing is made" in capsys.readouterr().out
+    assert gbid("rig", spring, "--dry-run") == 2
+    assert files_of(spring) == before
+
+
+def test_verbose_shows_each_iteration(spring, capsys):
+    assert gbid("fit", spring, "--verbose", "--results", spring.parent / "loud", "--only", "spring") == 3
+    capsys.readouterr()
+    assert gbid("import", spring, "--results", spring.parent / "loud") == 0
+    capsys.readouterr()
+    assert gbid("fit", spring, "--verbose", "--results", spring.parent / "loud") == 0
+    assert "fit spring/run1: iteration 1, cost " in capsys.readouterr().err
+
+
+def test_clean_removes_what_killed_runs_left_and_on_request_all(tmp_path, capsys):
+    path = write_spring(tmp_path)
+    assert gbid("import", path) == 0
+    results = tmp_path / "results/spring"
+    (results / "failed/fit").mkdir(parents=True)
+    (results / "failed/fit/x.json").write_text("{}")
+    stale = results / "recordings/.run1.h5.elsewhere~1.x.part"
+    stale.write_text("")
+    os.utime(stale, (1e9, 1e9))
+    (results / "mine.txt").write_text("mine")
+    before = files_of(path)
+    assert gbid("clean", path, "--dry-run") == 0
+    assert "2 files would be removed" in capsys.readouterr().out
+    assert files_of(path) == before
+    assert gbid("clean", path, "--json") == 0
+    assert len(json.loads(capsys.readouterr().out)["removed"]) == 2
+    gone = {str(stale.relative_to(tmp_path)), "results/spring/failed/fit/x.json"}
+    assert set(before) - set(files_of(path)) == gone
+    assert gbid("clean", path, "--everything", "--quiet") == 0
+    assert [p.name for p in results.rglob("*")] == ["mine.txt"]
+
+
+def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
+    from gbid.compiling.compiler import find_compiler
+
+    assert gbid("doctor", "--json") == 0
+    found = {row["what"]: row for row in json.loads(capsys.readouterr().out)["findings"]}
+    assert {"gbid", "packages", "C compiler", "compiled kernels", "this folder", "processors", "BLAS"} <= set(found)
+    assert found["packages"]["verdict"] == "good"
+    assert "casadi" in found["packages"]["found"]
+    monkeypatch.setenv("CC", "no-such-compiler")
+    find_compiler.cache_clear()
+    try:
+        assert gbid("doctor") == 0
+        captured = capsys.readouterr()
+    finally:
+        find_compiler.cache_clear()
+    assert "gbid: note: C compiler: fits run with the numpy engine" in captured.err
+
+
+def test_no_color_takes_the_colours_out(monkeypatch):
+    from rich.console import Console
+
+    written = {}
+    for name in ("", "1"):
+        monkeypatch.setenv("NO_COLOR", name)
+        console = Console(file=io.StringIO(), force_terminal=True, width=80)
+        with LiveLine(console) as live:
+            live.begin(4)
+            live.show("fit spring", 2, "1/s, 2 s left")
+        written[name] = console.file.getvalue()
+    assert "2 s left" in written["1"]
+    assert "\x1b[38;" in written[""] or "\x1b[3" in written[""]
+    assert "\x1b[38;" not in written["1"]
