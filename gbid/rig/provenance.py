@@ -33,12 +33,14 @@ def provenance_of(
     saturated: Mapping[str, Sequence[Span]],
 ) -> dict[str, str]:
     """Return the texts that are stored with a recording; values are JSON."""
+    effects = {"effects": {effect.name: asdict(effect) for effect in machine.effects}} if machine.effects else {}
+    rig = {key: value for key, value in asdict(machine).items() if key != "effects"}
     texts = {
         "source": "gbid virtual rig",
         "seed": str(seed),
         "simulation": how,
         "experiment": as_json({type(experiment).__name__: asdict(experiment)}),
-        "rig": as_json({"oversampling": oversampling, "settle_s": settle_s, **asdict(machine)}),
+        "rig": as_json({"oversampling": oversampling, "settle_s": settle_s, **rig, **effects}),
         "truth": as_json(machine.rotor_bearing.key_parameters()),
     }
     if controller is not None:

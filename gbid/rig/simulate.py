@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -18,6 +18,7 @@ from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults, with_faults
 from gbid.rig.machine.controller import ProgramController, SampledController
 from gbid.rig.machine.machine import ActuatorTruth, Machine
+from gbid.rig.machine.rig_effect import RigRun
 from gbid.rig.machine.scatter import Scatter, scatter_random, scattered
 from gbid.rig.machine.sensors import TURN, encoder_angle, quantised, runout
 from gbid.rig.provenance import provenance_of, spans
@@ -125,11 +126,13 @@ def record(
     n_settle = whole_samples("settle_s", settle_s, sample_time) if settle_s else 0
     n = n_settle + n_samples
     root = np.random.SeedSequence(seed, spawn_key=tuple(name.encode()))
-    levels, start, noise_u, noise_p, process, whirl, noise_f, broken = (
-        np.random.default_rng(child) for child in root.spawn(8)
+    levels, start, noise_u, noise_p, process, whirl, noise_f, broken, *of_effects = (
+        np.random.default_rng(child) for child in root.spawn(8 + len(machine.effects))
     )
     first = start.uniform(0.0, TURN)  # angle when the simulation begins
     turning = replace(turning, start=first + turning.speed * n_settle * sample_time)
+    times: FloatArray = np.asarray((np.arange(n + 1) - n_settle) * sample_time, np.float64)
+    forces, readings = _effects(machine, turning, times, conditions, of_effects)
     run = _Run(
         machine,
         experiment.reference(n, sample_time, levels, n_settle),
@@ -141,16 +144,17 @@ def record(
             draw_noise(machine, n, sample_time, process),
             draw_whirl(machine, n, sample_time, whirl),
             experiment if isinstance(experiment, Hammer) else None,
+            forces,
         ),
         n_settle,
         oversampling,
     )
-    time: FloatArray = np.asarray((np.arange(n) - n_settle) * sample_time, np.float64)
+    time = times[:-1]
     angle = turning.angle(time)
     sensors = machine.sensors
     shown = encoder_angle(sensors, angle)
     logged = slice(n_settle, None)
-    sensor = runout(sensors, angle) + sensors.offset_p
+    sensor = runout(sensors, angle) + sensors.offset_p + readings[:-1]
     sensor[logged] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_samples, 2))
     # The probes have noise before the logger starts, too. It matters only for a controller.
     sensor[:n_settle] += np.asarray(sensors.noise_p) * noise_p.standard_normal((n_settle, 2))
@@ -231,6 +235,25 @@ class _Run:
     forces: Forces
     n_settle: int
     oversampling: int
+
+
+def _effects(
+    machine: Machine,
+    turning: Turning,
+    time: FloatArray,
+    conditions: Mapping[str, float],
+    random: Sequence[np.random.Generator],
+) -> tuple[FloatArray | None, FloatArray]:
+    """Return the sums of the forces per moving mass [m/s^2], or None, and of the readings [m] of all effects."""
+    force, reading = None, np.zeros((len(time), 2))
+    for effect, own in zip(machine.effects, random, strict=True):
+        run = RigRun(time, turning.angle(time), turning.speed_at(time), conditions, own)
+        pushed, read = effect.force(run), effect.reading(run)
+        if pushed is not None:
+            force = pushed if force is None else force + pushed
+        if read is not None:
+            reading = reading + read
+    return force, reading
 
 
 def _this_time(

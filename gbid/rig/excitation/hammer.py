@@ -8,7 +8,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.rig.machine.effects import need_finite
+from gbid.rig.machine.rotor_effects import need_finite
 
 
 @dataclass(frozen=True)

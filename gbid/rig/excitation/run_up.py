@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.rig.machine.effects import need_finite
+from gbid.rig.machine.rotor_effects import need_finite
 
 RPM = np.pi / 30
 

@@ -10,7 +10,7 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
 from gbid.rig.excitation.prbs import whole_samples
-from gbid.rig.machine.effects import need_finite
+from gbid.rig.machine.rotor_effects import need_finite
 
 
 def up_and_down(lowest: float, step: float, n_steps: int) -> FloatArray:

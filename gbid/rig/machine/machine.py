@@ -12,8 +12,9 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
 from gbid.errors import UsageError
-from gbid.rig.machine.effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
 from gbid.rig.machine.piezo import PiezoStacks
+from gbid.rig.machine.rig_effect import RigEffect
+from gbid.rig.machine.rotor_effects import Contact, FilmStiffening, FlexibleMode, NonSynchronous, ProcessNoise
 from gbid.rig.machine.sensors import SensorChain
 
 
@@ -198,6 +199,8 @@ class Machine(Brief):
         Effects of a real rotor beyond Eq. 5; none by default.
     contact : Contact
         Contact of disc and bearing at the end of the clearance.
+    effects : tuple of RigEffect
+        Further effects, made by `gbid.rig.rig_effect`.
     """
 
     rotor_bearing: RotorBearingTruth
@@ -211,6 +214,7 @@ class Machine(Brief):
     non_synchronous: NonSynchronous | None = None
     process_noise: ProcessNoise | None = None
     contact: Contact = field(default_factory=Contact)
+    effects: tuple[RigEffect, ...] = ()
 
     def __post_init__(self) -> None:
         for name, unit in (("clearance", "m"), ("moving_mass", "kg")):
@@ -232,7 +236,8 @@ class Machine(Brief):
             "non-synchronous motion": self.non_synchronous is not None,
             "process noise": self.process_noise is not None,
         }
-        return [name for name, there in parts.items() if there]
+        forces = [effect.name for effect in self.effects if type(effect).force is not RigEffect.force]
+        return [*(name for name, there in parts.items() if there), *forces]
 
     @classmethod
     def from_parameters(

@@ -36,6 +36,8 @@ class Forces:
         z of `NonSynchronous` at the samples.
     hammer : Hammer or None
         Impacts.
+    effects : (n + 1, 2) array or None
+        Forces of further effects at the samples [m/s^2].
     """
 
     machine: Machine
@@ -45,6 +47,7 @@ class Forces:
     noise: FloatArray | None = None
     whirl: np.ndarray | None = None
     hammer: Hammer | None = None
+    effects: FloatArray | None = None
 
     def between(self, first: int, last: int, oversampling: int) -> FloatArray:
         """Return the forces from one sample to another, at the time steps and half-way between.
@@ -62,8 +65,9 @@ class Forces:
             force += self.hammer.force(time) / self.machine.moving_mass
         index = np.minimum(at.astype(int), last - 1)
         part = (at - index)[:, None]
-        if self.noise is not None:
-            force += (1 - part) * self.noise[index] + part * self.noise[index + 1]
+        for at_samples in (self.noise, self.effects):
+            if at_samples is not None:
+                force += (1 - part) * at_samples[index] + part * at_samples[index + 1]
         if self.whirl is not None and self.machine.non_synchronous is not None:
             z = (1 - part[:, 0]) * self.whirl[index] + part[:, 0] * self.whirl[index + 1]
             rule = self.machine.non_synchronous

@@ -11,6 +11,7 @@ from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import faults_of, machine_at, rig_experiment
 from gbid.experiment.stages.rig.schema import RigSection
 from gbid.operating_point import point_label
+from gbid.rig import rig_effect, rig_effects
 from gbid.rig.excitation.prbs import whole_samples
 
 
@@ -42,6 +43,7 @@ def rig_runs(experiment: Experiment) -> Found:
             whole_samples(str(location[-1]), seconds, rig.sample_time_s)
         except UsageError as error:
             yield location, str(error)
+    inside = inside and not list(effects_are_known(experiment))  # else the machine cannot be made
     reported: set[str] = set()
     for planned in experiment.recordings.values():
         if inside and planned.imported is None:
@@ -67,6 +69,19 @@ def faults_name_recordings(experiment: Experiment) -> Found:
             faults_of(entry)
         except UsageError as error:
             yield here, str(error)
+
+
+def effects_are_known(experiment: Experiment) -> Found:
+    """Yield a problem for each effect that is unknown or has a wrong option."""
+    rig = experiment.spec.rig
+    for name, options in rig.effects.items() if rig else ():
+        if name not in rig_effects():
+            yield ("rig", "effects", name), f"no effect {name!r}; {nearest(name, rig_effects())}"
+            continue
+        try:
+            rig_effect(name, **options)
+        except UsageError as error:
+            yield ("rig", "effects", name), str(error)
 
 
 def stacks_are_there(experiment: Experiment) -> Found:
@@ -139,6 +154,7 @@ def _times(rig: RigSection) -> Iterator[tuple[Location, float]]:
 
 
 RIG_CHECKS: tuple[Check, ...] = (
+    effects_are_known,
     rig_runs,
     sizes_fit_the_clearance,
     stacks_are_there,

@@ -33,6 +33,7 @@ from gbid.rig import (
     Staircase,
     Stationary,
     Unbalance,
+    rig_effect,
 )
 
 
@@ -59,6 +60,7 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
         non_synchronous=whirl
         and NonSynchronous(whirl.size_m, whirl.peak_rpm, whirl.width_rpm, whirl.ratio, whirl.bandwidth_hz),
         process_noise=rig.process_noise and ProcessNoise(rig.process_noise.density),
+        effects=tuple(rig_effect(name, **options) for name, options in rig.effects.items()),
     )
 
 

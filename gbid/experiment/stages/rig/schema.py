@@ -273,4 +273,5 @@ class RigSection(Section):
     non_synchronous: Annotated[NonSynchronousSection | None, BeforeValidator(given)] = None
     process_noise: Annotated[ProcessNoiseSection | None, BeforeValidator(given)] = None
     scatter: Annotated[ScatterSection | None, BeforeValidator(given)] = None
+    effects: dict[Text, dict[Text, Number]] = Field(default_factory=dict)
     faults: tuple[FaultSection, ...] = ()
