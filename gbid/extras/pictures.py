@@ -14,7 +14,9 @@ class Pictured:
     """
 
     def plot(self, ax: Any = None, **options: Any) -> Any:
-        """Draw the picture of this value; the same as ``gbid.report.plot(value, ax, **options)``.
+        """Draw the picture of this value, as ``gbid.report.plot(value, ax, **options)`` does.
+
+        A new figure belongs to ``matplotlib.pyplot``: a notebook shows it, and so does ``plt.show()``.
 
         Parameters
         ----------
@@ -28,4 +30,4 @@ class Pictured:
         matplotlib Axes or array of them
             The axes; their ``figure`` is the figure.
         """
-        return import_module("gbid.report").plot(self, ax, **options)
+        return import_module("gbid.report.figures.picture_of").shown(self, ax, **options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import io
 import re
 from itertools import combinations
@@ -19,6 +20,7 @@ from gbid import report
 from gbid.control import p_controller, sensitivity_data
 from gbid.errors import UsageError
 from gbid.report.figures.canvas import SERIES
+from gbid.report.figures.save import figure_of
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")
@@ -32,7 +34,7 @@ def drawn():
 
     def give(name):
         if name not in made:
-            made[name] = FIGURES[name]()
+            made[name] = figure_of(FIGURES[name]())
             FigureCanvasAgg(made[name]).draw()
         return made[name]
 
@@ -97,7 +99,7 @@ def test_diagrams_draw_into_axes_of_ones_own_and_leave_settings_alone(name):
     before = dict(mpl.rcParams)
     own = Figure()
     ax = own.subplots()
-    assert FIGURES[name](ax) is own
+    assert FIGURES[name](ax) is ax
     assert ax.texts
     assert dict(mpl.rcParams) == before
 
@@ -108,11 +110,23 @@ def test_too_few_axes_are_refused():
         report.plot_over_pressure(data, [Figure().subplots()])
     own = Figure()
     axes = list(own.subplots(1, 2))
-    assert report.plot_over_pressure(data, axes) is own
+    assert report.plot_over_pressure(data, axes).tolist() == axes
     with pytest.raises(UsageError, match="projection='3d'"):
         report.plot_surfaces(report.surfaces_data(machine(), ("k_xx",)), [Figure().subplots()])
     parts = Figure().subfigures(1, 2)
-    assert isinstance(report.plot_pareto(report.pareto_data({"P": [(1.5, 0.2)]}), parts[0].subplots()), Figure)
+    one = parts[0].subplots()
+    assert report.plot_pareto(report.pareto_data({"P": [(1.5, 0.2)]}), one) is one
+    assert figure_of(one) is parts[0].figure
+
+
+@pytest.mark.parametrize("name", [name for name in dir(report) if name.startswith("plot_")])
+def test_picture_functions_have_one_signature(name):
+    signature = inspect.signature(getattr(report, name))
+    order = list(signature.parameters)
+    assert signature.parameters["ax"].default is None
+    assert order.index("ax") <= 1
+    assert all(signature.parameters[other].kind is inspect.Parameter.KEYWORD_ONLY for other in order[2:])
+    assert signature.return_annotation in ("Axes", "npt.NDArray[np.object_]")
 
 
 def test_series_are_told_apart_in_grey():
@@ -178,8 +192,8 @@ def test_magnitudes_are_drawn_by_their_definition():
     S = np.linalg.inv(np.eye(2) - G @ K)
     data = sensitivity_data(plant, controller, frequency)
     for curves, responses in ((report.sensitivity_curves(data), (S, K @ S)), (report.bode_curves(data), (G, S @ G))):
-        axes = report.plot_magnitudes(curves).axes
-        for panel, (i, j) in zip(axes, ((0, 0), (0, 1), (1, 0), (1, 1)), strict=True):
+        axes = report.plot_magnitudes(curves)
+        for panel, (i, j) in zip(axes.ravel(), ((0, 0), (0, 1), (1, 0), (1, 1)), strict=True):
             lines = panel.get_lines()[1:]  # after the line at 0 dB
             for line, response in zip(lines, responses, strict=True):
                 np.testing.assert_allclose(line.get_ydata(), 20 * np.log10(np.abs(response[:, i, j])), rtol=1e-6)
@@ -229,8 +243,7 @@ def test_piezo_steps_and_plateaus():
 def test_impact_curves_must_fit_their_time():
     with pytest.raises(UsageError, match=r"curve 'open' has shape \(3,\), the time \(4,\)"):
         report.plot_impact(report.ImpactCurves(np.arange(4.0), {"open": np.zeros(3)}))
-    figure = report.plot_impact(report.ImpactCurves(np.arange(4.0), {"open": np.ones(4)}, axis="y"))
-    (ax,) = figure.axes
+    (ax,) = report.plot_impact(report.ImpactCurves(np.arange(4.0), {"open": np.ones(4)}, axis="y"))
     assert ax.get_ylabel() == "$p_y$ [µm]"
     np.testing.assert_allclose(ax.get_lines()[0].get_ydata(), 1e6)
 

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
+from fit_cases import MODE, MODE_AT, levels, simulated
 
 import gbid
 from gbid import report
 from gbid.control import p_controller, sensitivity_data
-from gbid.structure import LinearModel
+from gbid.structure import LinearModel, evaluate
 
 POINT = "6 bar, 0 rpm"
 
@@ -190,12 +193,69 @@ def root_locus():
     return report.plot_root_locus(report.root_locus_data(plant, controller, np.linspace(0, 1.2, 121), title=POINT))
 
 
+@cache
+def fitted():
+    recording = simulated(MODE, MODE_AT, levels(600, hold=2), noise=0.3)
+    result = gbid.fit(MODE, recording, focus="simulation")
+    return recording, {"fit": result, "truth": evaluate(MODE, MODE_AT), "slower": evaluate(MODE, {**MODE_AT, "w": 4.0})}
+
+
+def bode_diagram():
+    recording, models = fitted()
+    return report.plot_bode(models, measured=gbid.measured_response(recording, "u", "y"))
+
+
+def measured_alone():
+    return report.plot(gbid.measured_response(fitted()[0], "u", "y"))
+
+
+def bode_of_four():
+    return report.plot_bode({"6 bar": machine().plant_at(6.0, 0.0), "3 bar": machine().plant_at(3.0, 0.0)})
+
+
+def poles():
+    return report.plot_poles(fitted()[1])
+
+
+def steps():
+    return report.plot_step(fitted()[1])
+
+
+def impulses():
+    return report.plot_impulse(fitted()[1])
+
+
+def campbell():
+    found = {speed: machine().at(6.0, speed) for speed in (0.0, 2000.0, 4000.0, 6000.0)}
+    return report.plot_campbell({**found, 3000.0: machine().at(6.0, 3000.0)})
+
+
+def orbit():
+    random, t = np.random.default_rng(0), 2e-4 * np.arange(10_000)
+    phi = 2 * np.pi * 50 * t
+    whirl = np.column_stack([3 * np.cos(phi) + 1, 2 * np.sin(phi + 0.4)]) + 0.3 * random.standard_normal((10_000, 2))
+    signals = {"p": 1e-6 * whirl, "phi": np.mod(phi, 2 * np.pi)}
+    return report.plot_orbit(gbid.Recording(signals, 2e-4, units={"p": "m", "phi": "rad"}, channels={"p": ("x", "y")}))
+
+
+def iso_zones():
+    return report.plot_iso_zones(gbid.sensitivities(*loop()))
+
+
+def recorded():
+    recording = fitted()[0]
+    position = 1e-6 * np.hstack([recording.signal("y"), -recording.signal("y")])
+    units = {"p": "m", "u": "V", "y": "m"}
+    return report.plot_recording(gbid.Recording({"p": position, **recording.signals}, 0.1, units=units))
+
+
 FIGURES = {
     case.__name__: case
     for case in (
         surfaces, damping_surfaces, gain_surfaces, delays, modes, damping_factors, static_gains, histograms, actuators,
         static_map, sensitivity, bode, impact, impact_loops, hysteresis, staircase, pareto, damping_map, eigenvalues,
-        root_locus,
+        root_locus, bode_diagram, bode_of_four, measured_alone, poles, steps, impulses, campbell, orbit, iso_zones,
+        recorded,
     )
 }  # fmt: skip
 FIGURES |= {

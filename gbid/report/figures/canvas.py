@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
 
@@ -11,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from gbid.errors import UsageError
-from gbid.report.figures.save import STYLE
+from gbid.report.figures.save import STYLE, figure_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,6 +46,26 @@ def styled(draw: Callable[P, R]) -> Callable[P, R]:
             return draw(*args, **kwargs)
 
     return wrapper
+
+
+_MAKER: ContextVar[Callable[..., Figure]] = ContextVar("maker", default=Figure)
+
+
+def new_figure(size: tuple[float, float]) -> Figure:
+    """Return a new figure of a size [inch]: one of its own, or within `shown_by_pyplot` one of pyplot."""
+    return _MAKER.get()(figsize=size, layout="constrained")
+
+
+@contextmanager
+def shown_by_pyplot() -> Iterator[None]:
+    """Return a context in which new figures belong to pyplot, so that notebooks and ``plt.show()`` show them."""
+    from matplotlib import pyplot  # nobody else imports it: it keeps figures, and opens windows
+
+    token = _MAKER.set(pyplot.figure)
+    try:
+        yield
+    finally:
+        _MAKER.reset(token)
 
 
 def panels(
@@ -80,15 +102,12 @@ def panels(
         When there are too few axes.
     """
     if ax is None:
-        figure = Figure(figsize=size, layout="constrained")
+        figure = new_figure(size)
         return figure, list(figure.subplots(rows, columns, squeeze=False, **options).ravel())
     given = list(np.ravel(np.array(ax, dtype=object)))
     if len(given) < rows * columns:
         raise UsageError(f"{len(given)} axes for {rows * columns} panels; give one for each, or none")
-    figure = given[0].figure
-    while not isinstance(figure, Figure):  # axes in a subfigure
-        figure = figure.figure
-    return figure, given
+    return figure_of(given[0]), given
 
 
 def series(i: int, **changes: Any) -> dict[str, Any]:

@@ -6,16 +6,15 @@ from collections.abc import Callable
 from functools import partial
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from gbid.report.figures.blocks import TINT, block, diagram, dot, frame, total, wire, word
-from gbid.report.figures.canvas import TWO_COLUMNS, panels, styled
+from gbid.report.figures.canvas import TWO_COLUMNS, styled
 from gbid.report.figures.named import NamedFigure
 from gbid.report.reader import Results
 
 
 @styled
-def plot_differential_pairing(ax: Axes | None = None) -> Figure:
+def plot_differential_pairing(ax: Axes | None = None) -> Axes:
     """Draw how two references move four piezos, and four positions become two differences (Eqs. 1, 2; Fig. 3).
 
     Parameters
@@ -25,7 +24,8 @@ def plot_differential_pairing(ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     ax = diagram(ax, 9.2, 4.6, TWO_COLUMNS)
     for axis, middle, (first, second) in (("x", 3.35, (2, 4)), ("y", 1.15, (1, 3))):
@@ -49,11 +49,11 @@ def plot_differential_pairing(ax: Axes | None = None) -> Figure:
             word(ax, 6.35, y + 0.04, f"$y_{{p,{number}}}$")
         wire(ax, [difference.right, (8.6, middle)])
         word(ax, 8.7, middle, f"$u_{axis}$", ha="left", va="center")
-    return panels(ax, size=(1, 1))[0]
+    return ax
 
 
 @styled
-def plot_identification_flow(ax: Axes | None = None) -> Figure:
+def plot_identification_flow(ax: Axes | None = None) -> Axes:
     """Draw which signals identify which model, and how the models make the plant (Eq. 3; Fig. 4).
 
     Parameters
@@ -63,7 +63,8 @@ def plot_identification_flow(ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     ax = diagram(ax, 9.2, 4.7, TWO_COLUMNS, bottom=0.3)
     frame(ax, 1.35, 3.35, 6.5, 1.25, "test rig, or virtual rig")
@@ -96,11 +97,11 @@ def plot_identification_flow(ax: Axes | None = None) -> Figure:
     wire(ax, [(6.85, 0.75), (7.75, 0.75)])
     word(ax, 1.1, 0.75, r"$\mathbf{r}$", ha="right", va="center")
     word(ax, 7.85, 0.75, r"$\hat{\mathbf{p}}$", ha="left", va="center")
-    return panels(ax, size=(1, 1))[0]
+    return ax
 
 
 @styled
-def plot_rotor_bearing_model(ax: Axes | None = None) -> Figure:
+def plot_rotor_bearing_model(ax: Axes | None = None) -> Axes:
     """Draw the rotor-bearing model: delays, two degrees of freedom, disturbance (Eqs. 4 to 10; Fig. 6).
 
     Parameters
@@ -110,7 +111,8 @@ def plot_rotor_bearing_model(ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     ax = diagram(ax, 11.2, 4.4, TWO_COLUMNS)
     y = 2.6
@@ -149,11 +151,11 @@ def plot_rotor_bearing_model(ax: Axes | None = None) -> Figure:
     dot(ax, 9.7, 3.75)
     wire(ax, [(9.7, 3.75), disturbance.right])
     wire(ax, [disturbance.left, (4.7, 3.75), at.top])
-    return panels(ax, size=(1, 1))[0]
+    return ax
 
 
 @styled
-def plot_closed_loop(ax: Axes | None = None) -> Figure:
+def plot_closed_loop(ax: Axes | None = None) -> Axes:
     """Draw the loop with its decentralised controller and positive feedback (Eqs. 20 to 22; Fig. 19).
 
     Parameters
@@ -163,7 +165,8 @@ def plot_closed_loop(ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     ax = diagram(ax, 10.2, 4.3, TWO_COLUMNS)
     rows = {"x": 3.2, "y": 2.0}
@@ -190,14 +193,14 @@ def plot_closed_loop(ax: Axes | None = None) -> Figure:
         wire(ax, [(lowpass.left[0], down), (gains.right[0], down)])
     wire(ax, [(gains.left[0], 0.38), (1.6, 0.38), (1.6, rows["y"] - 0.13)])
     wire(ax, [(gains.left[0], 0.62), (1.15, 0.62), (1.15, 2.6), (1.6, 2.6), (1.6, rows["x"] - 0.13)])
-    return panels(ax, size=(1, 1))[0]
+    return ax
 
 
 def _nothing(_results: Results) -> None:
     """Diagrams need no results."""
 
 
-def _drawn(plot: Callable[[], Figure], _nothing: None) -> Figure:
+def _drawn(plot: Callable[[], Axes], _nothing: None) -> Axes:
     return plot()
 
 

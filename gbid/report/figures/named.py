@@ -10,6 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from gbid.report.figures.save import Drawn, figure_of
 from gbid.report.reader import Results
 
 
@@ -26,7 +27,7 @@ class NamedFigure:
     needs : callable
         Takes the result that it needs out of `Results`; `DataError` where that is not there.
     draw : callable
-        Draws it from that result.
+        Draws it from that result: a picture function, or one that returns a figure.
     words : str
         What a reader who cannot see it should know; for the page.
     section : str
@@ -35,7 +36,7 @@ class NamedFigure:
 
     name: str
     needs: Callable[[Results], Any]
-    draw: Callable[[Any], Figure]
+    draw: Callable[[Any], Drawn]
     words: str = ""
     section: str = ""
 
@@ -47,7 +48,7 @@ class NamedFigure:
         DataError, UsageError
             When the results do not allow it, with the reason.
         """
-        return self.draw(self.needs(results))
+        return figure_of(self.draw(self.needs(results)))
 
 
 def named_figures() -> dict[str, NamedFigure]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import singledispatch
 from typing import Any
 
@@ -10,6 +11,7 @@ from gbid.errors import UsageError
 from gbid.identify import FitResult
 from gbid.identify.curves.measured_response import MeasuredResponse
 from gbid.recording import Recording
+from gbid.report.figures.canvas import shown_by_pyplot
 from gbid.report.figures.measured.recording_panels import plot_recording
 from gbid.report.figures.measured.residual_panels import plot_residuals
 from gbid.report.figures.measured.response import plot_response
@@ -21,7 +23,10 @@ from gbid.validate import ResidualTest, Validation
 
 @singledispatch
 def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
-    """Draw the picture that belongs to a value; ``value.plot()`` does the same.
+    """Draw the picture that belongs to a value.
+
+    The method ``plot`` of these values does the same. Its figure belongs to ``matplotlib.pyplot``, so that notebooks
+    and ``plt.show()`` show it. Pictures of this function leave nothing behind.
 
     ======================================  ==================
     value                                   drawn by
@@ -55,6 +60,12 @@ def plot(value: Any, ax: Any = None, **options: Any) -> Any:  # noqa: ARG001
     """
     known = ", ".join(sorted(kind.__name__ for kind in plot.registry if kind is not object))
     raise UsageError(f"no picture belongs to {type(value).__name__}; there is one for {known}")
+
+
+def shown(value: Any, ax: Any = None, **options: Any) -> Any:
+    """Draw the picture that belongs to a value; a new figure belongs to pyplot, so that a notebook shows it."""
+    with shown_by_pyplot() if ax is None else nullcontext():
+        return plot(value, ax, **options)
 
 
 plot.register(Recording, plot_recording)

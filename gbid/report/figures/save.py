@@ -7,11 +7,20 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
 from matplotlib.figure import Figure
 
 from gbid.naming.escape import printable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+Drawn: TypeAlias = "Figure | Axes | npt.NDArray[np.object_]"
+"""What a picture function returns."""
 
 STYLE = Path(__file__).with_name("gbid.mplstyle")
 """Style of all figures."""
@@ -19,12 +28,27 @@ _SYMBOL = re.compile(r"([A-Za-z])(?:_([A-Za-z0-9]{1,12}))?")
 _LONGEST = 48
 
 
-def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: str = "") -> None:
+def figure_of(drawn: Drawn) -> Figure:
+    """Return the figure of what a picture function returned.
+
+    Parameters
+    ----------
+    drawn : matplotlib Figure, Axes, or array of Axes
+        A figure, or axes of one.
+    """
+    found: Any = drawn.flat[0] if isinstance(drawn, np.ndarray) else drawn
+    while not isinstance(found, Figure):  # axes, or axes in a subfigure
+        found = found.figure
+    return found
+
+
+def save_figure(figure: Drawn, path: Path, *, kind: str | None = None, note: str = "") -> None:
     """Write a figure as png, pdf or svg, the same bytes each time.
 
     Parameters
     ----------
-    figure : matplotlib Figure
+    figure : matplotlib Figure, Axes, or array of Axes
+        A figure, or what a picture function returned.
     path : path
     kind : {"png", "pdf", "svg"}, optional
         The ending of the path decides when left out.
@@ -39,7 +63,7 @@ def save_figure(figure: Figure, path: Path, *, kind: str | None = None, note: st
     }
     metadata: Mapping[str, str | None] = notes.get(kind, {})
     with mpl.rc_context(rc={"svg.hashsalt": "gbid"}, fname=STYLE), missing_letters_as_boxes():
-        figure.savefig(path, format=kind, metadata=dict(metadata))
+        figure_of(figure).savefig(path, format=kind, metadata=dict(metadata))
 
 
 @contextmanager

@@ -7,14 +7,10 @@ import re
 from dataclasses import dataclass
 from html import escape
 from itertools import count
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 
-from gbid.report.figures.save import STYLE, missing_letters_as_boxes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from gbid.report.figures.save import STYLE, Drawn, figure_of, missing_letters_as_boxes
 
 _IDS = re.compile(r'(\bid="|href="#|url\(#)')
 _SIZE = re.compile(r'<svg\b[^>]*?viewBox="(?P<box>[^"]+)"[^>]*>')
@@ -44,13 +40,13 @@ class Pictures:
     def __init__(self) -> None:
         self._numbers = count(1)
 
-    def picture(self, figure: Figure, alt: str, caption: str = "") -> Picture:
+    def picture(self, figure: Drawn, alt: str, caption: str = "") -> Picture:
         """Return a figure as SVG.
 
         Parameters
         ----------
-        figure : matplotlib Figure
-            The figure; it is closed.
+        figure : matplotlib Figure, Axes, or array of Axes
+            The figure, or what a picture function returned.
         alt : str
             Alternative text for readers who cannot see it.
         caption : str
@@ -59,8 +55,9 @@ class Pictures:
         buffer = io.StringIO()
         # Letters as outlines: a device without these fonts shows them correctly.
         outlines = mpl.rc_context({"svg.fonttype": "path", "svg.hashsalt": "gbid"})
+        nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
         with mpl.rc_context(fname=STYLE), outlines, missing_letters_as_boxes():
-            figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+            figure_of(figure).savefig(buffer, format="svg", metadata=nothing)
         return Picture(_embedded(buffer.getvalue(), f"g{next(self._numbers)}-", alt), caption or alt)
 
 

@@ -46,9 +46,12 @@ class RigEffect:
     name: str = field(default="", init=False)
 
     def force(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002  # for subclasses
-        """Return an additional force per moving mass at the samples, (n + 1, 2) [m/s^2]; in between it is linear."""
+        """Return an additional force per moving mass at the samples of `run`, (n + 1, 2) [m/s^2]."""
         return None
 
     def reading(self, run: RigRun) -> FloatArray | None:  # noqa: ARG002
-        """Return what is added to the readings of p at the samples, (n + 1, 2) [m]; a controller sees it, too."""
+        """Return what is added to the readings of p at the samples of `run`, (n + 1, 2) [m].
+
+        A controller sees it, too.
+        """
         return None

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -96,7 +95,7 @@ def damping_map_data(
 
 
 @styled
-def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Figure:
+def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Axes:
     """Draw lines of equal damping over pressure and speed; regions of instability are hatched.
 
     Parameters
@@ -108,8 +107,8 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
     grid = (data.pressure_bar, 1e-3 * data.speed_rpm, data.damping.T)
@@ -136,4 +135,4 @@ def plot_damping_map(data: DampingMap, ax: Axes | None = None) -> Figure:
     panel.grid(False)
     if data.title:
         panel.set_title(data.title, loc="left", pad=6)
-    return figure
+    return panel

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import Brief
@@ -62,7 +61,7 @@ def eigenvalues_data(models: Mapping[str, LinearModel], title: str = "") -> Eige
 
 
 @styled
-def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Figure:
+def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Axes:
     """Draw poles in the upper half plane, with rays of equal damping.
 
     Parameters
@@ -76,8 +75,8 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     figure, (panel, *_) = panels(ax, size=(4.6, 3.6))
     for k, (label, poles) in enumerate(data.poles.items()):
@@ -87,7 +86,7 @@ def plot_eigenvalues(data: Eigenvalues, ax: Axes | None = None, *, largest_hz: f
         panel.plot(near.real, near.imag, label=label, **look)
     _finish_plane(panel, largest_hz)
     legend_above(figure, panel, columns=4, title=data.title)
-    return figure
+    return panel
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +145,7 @@ def root_locus_data(
 
 
 @styled
-def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Figure:
+def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: float = 160.0) -> Axes:
     """Draw the path of the poles in the upper half plane, from circles to squares.
 
     Parameters
@@ -160,8 +159,8 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
     figure, (panel, *_) = panels(ax, size=(5.2, 3.6))
     poles = _hertz(data.poles)
@@ -179,7 +178,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
     panel.legend(loc="lower left", title="factor", title_fontsize=8)
     if data.title:
         panel.set_title(data.title, loc="left", pad=6)
-    return figure
+    return panel
 
 
 def _hertz(poles: ComplexArray) -> ComplexArray:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
+import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -110,7 +110,7 @@ def _cut(v: ImpactValidation, j: int, before: int, after: int) -> FloatArray:
 
 
 @styled
-def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Figure:
+def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw the impact responses of several loops, along x above and along y below.
 
     Parameters
@@ -122,8 +122,8 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Fi
 
     Returns
     -------
-    matplotlib.figure.Figure
-        Figure with lines of the mean, and bands of plus and minus one standard deviation.
+    (2,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 2, 1, size=(TWO_COLUMNS, 4.4), sharex=True)
     for k, (label, mean) in enumerate(data.mean.items()):
@@ -139,10 +139,10 @@ def plot_impact_loops(data: ImpactLoops, ax: Sequence[Axes] | None = None) -> Fi
     axes[1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
     figure.align_ylabels(axes[:2])
     legend_above(figure, axes[0], title=data.title)
-    return figure
+    return np.array(axes[:2], dtype=object)
 
 
-def _drawn(loops: Mapping[str, ImpactStudy]) -> Figure:
+def _drawn(loops: Mapping[str, ImpactStudy]) -> npt.NDArray[np.object_]:
     return plot_impact_loops(impact_loops_data(loops))
 
 

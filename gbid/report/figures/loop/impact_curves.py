@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from matplotlib.figure import Figure
+import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -60,7 +60,7 @@ class ImpactCurves(Brief):
 
 
 @styled
-def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> Figure:
+def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw impact responses, with the forces below.
 
     Parameters
@@ -72,8 +72,8 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_panels,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
 
     Raises
     ------
@@ -100,7 +100,7 @@ def plot_impact(data: ImpactCurves, ax: Sequence[Axes] | None = None) -> Figure:
     axes[rows - 1].set_xlim(1e3 * data.time[0], 1e3 * data.time[-1])
     figure.align_ylabels(axes)
     legend_above(figure, axes[0], title=data.title)
-    return figure
+    return np.array(axes[:rows], dtype=object)
 
 
 def impact_data(open_loop: ImpactStudy, closed_loop: ImpactStudy, axis: Literal["x", "y"]) -> ImpactCurves:

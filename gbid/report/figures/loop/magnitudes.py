@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import Brief
@@ -98,7 +97,7 @@ def bode_curves(data: SensitivityData, title: str = "") -> MagnitudeCurves:
 
 
 @styled
-def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> Figure:
+def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> npt.NDArray[np.object_]:
     """Draw magnitudes over frequency, in decibels relative to 1 m/m.
 
     Parameters
@@ -110,8 +109,8 @@ def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> F
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_outputs, n_inputs) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
 
     Raises
     ------
@@ -145,7 +144,7 @@ def plot_magnitudes(data: MagnitudeCurves, ax: npt.ArrayLike | None = None) -> F
     axes[0].set_ylim(top - _RANGE_DB, top + 3)
     letter(axes)
     legend_above(figure, axes[0], title=data.title)
-    return figure
+    return np.array(axes[: rows * columns], dtype=object).reshape(rows, columns)
 
 
 def _loop(

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -119,7 +118,7 @@ def _place(result: GainResult) -> tuple[float, float]:
 
 
 @styled
-def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Figure:
+def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
     """Draw the smallest damping factor over the peak of the output sensitivity.
 
     Parameters
@@ -131,10 +130,10 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Figure:
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
     """
-    figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    _figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
     for k, (label, peak) in enumerate(data.peak_sensitivity.items()):
         order = np.argsort(peak)
         values = np.asarray(data.damping[label], float)[order]
@@ -148,7 +147,7 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Figure:
     panel.legend(loc="best")
     if data.title:
         panel.set_title(data.title, loc="left", pad=4)
-    return figure
+    return panel
 
 
 FIGURES = (

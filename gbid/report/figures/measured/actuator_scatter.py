@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
+import numpy.typing as npt
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import Brief
@@ -51,7 +51,7 @@ class ActuatorParameters(Brief):
 
 
 @styled
-def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None = None) -> Figure:
+def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw gains and poles of the actuators over the recordings, with marks for outliers and nominal model (Fig. 8).
 
     Parameters
@@ -63,8 +63,8 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (3, 2) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 3, 2, size=(TWO_COLUMNS, 5.0), sharex=True)
     for i, (name, symbol, unit, scale) in enumerate(_ROWS):
@@ -86,7 +86,7 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
     letter(axes)
     figure.align_ylabels(axes)
     legend_above(figure, axes[0])
-    return figure
+    return np.array(axes[:6], dtype=object).reshape(3, 2)
 
 
 def nominal_data(nominal: NominalActuator) -> ActuatorParameters:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
+import numpy.typing as npt
 from matplotlib.ticker import MaxNLocator
 
 from gbid.arrays import FloatArray, IntArray
@@ -57,7 +57,7 @@ class Histogram(Brief):
 
 
 @styled
-def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = None) -> Figure:
+def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw histograms of the cross-validation fit with mean and standard deviation (Figs. 9, 10).
 
     Parameters
@@ -69,10 +69,10 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_histograms,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
-    figure, axes = panels(ax, 1, len(data), size=(TWO_COLUMNS, 2.4), sharey=True)
+    _figure, axes = panels(ax, 1, len(data), size=(TWO_COLUMNS, 2.4), sharey=True)
     for panel, histogram in zip(axes, data, strict=False):
         panel.stairs(histogram.counts, histogram.edges, fill=True, facecolor="#b9d3e6", edgecolor=BLACK, linewidth=0.8)
         panel.axvline(histogram.mean, color=RED, linestyle=(0, (5, 1.5)))
@@ -88,7 +88,7 @@ def plot_fit_histogram(data: Sequence[Histogram], ax: Sequence[Axes] | None = No
         panel.set_ylim(0, 1.35 * max(h.counts.max() for h in data))
     axes[0].set_ylabel("pairs")
     letter(axes)
-    return figure
+    return np.array(axes[: len(data)], dtype=object)
 
 
 def crossval_data(summary: ValidationSummary) -> list[Histogram]:
@@ -112,7 +112,7 @@ def crossval_data(summary: ValidationSummary) -> list[Histogram]:
     return found
 
 
-def _histogram(summary: ValidationSummary) -> Figure:
+def _histogram(summary: ValidationSummary) -> npt.NDArray[np.object_]:
     return plot_fit_histogram(crossval_data(summary))
 
 

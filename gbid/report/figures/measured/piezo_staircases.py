@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import Brief
@@ -115,7 +114,7 @@ def piezo_staircase_data(
 
 
 @styled
-def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
+def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw positions at rest over the rising and falling command, and the command over time (Fig. A.28).
 
     Parameters
@@ -127,11 +126,11 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_units + 1,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     units = list(dict.fromkeys(staircase.command_unit for staircase in data))
-    figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
+    _figure, axes = panels(ax, 1, len(units) + 1, size=(TWO_COLUMNS, 2.6))
     for k, staircase in enumerate(data):
         panel = axes[units.index(staircase.command_unit)]
         scale, unit = _shown(staircase.command_unit)
@@ -149,11 +148,11 @@ def plot_piezo_hysteresis(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | N
     axes[-1].set_xlabel("time [s]")
     axes[-1].set_ylabel("command [share of its range]")
     letter(axes)
-    return figure
+    return np.array(axes, dtype=object)
 
 
 @styled
-def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> Figure:
+def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw single steps from their starts, and whole staircases (Fig. A.29).
 
     Parameters
@@ -165,8 +164,8 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (2,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
     for k, staircase in enumerate(data):
@@ -185,7 +184,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     axes[1].set_ylabel("piezo position [µm]")
     letter(axes)
     legend_above(figure, axes[0], columns=4)
-    return figure
+    return np.array(axes[:2], dtype=object)
 
 
 def _shown(unit: str) -> tuple[float, str]:

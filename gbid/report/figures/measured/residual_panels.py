@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import Brief
 from gbid.errors import UsageError
-from gbid.report.figures.canvas import styled
+from gbid.report.figures.canvas import new_figure, styled
 from gbid.report.figures.save import STYLE, plain_label, symbol
 from gbid.tables.numbers import probability
 
@@ -104,7 +104,7 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
     with mpl.rc_context(fname=STYLE):
         n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
         size = (_COLUMN_INCHES * max(n_columns, 2), _FRAME_INCHES + _ROW_INCHES * n_rows)
-        figure = Figure(figsize=size, layout="constrained")
+        figure = new_figure(size)
         axes = figure.subplots(n_rows, n_columns, sharex="col", squeeze=False)
         plot_residuals(test, [list(row) for row in axes])
         figure.supxlabel(

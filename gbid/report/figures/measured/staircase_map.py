@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
+import numpy.typing as npt
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import Brief
@@ -59,7 +59,9 @@ class StaticSweep(Brief):
 
 
 @styled
-def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = None, title: str = "") -> Figure:
+def plot_static_map(
+    data: Sequence[StaticSweep], ax: Sequence[Axes] | None = None, *, title: str = ""
+) -> npt.NDArray[np.object_]:
     """Draw the positions at rest over the inputs, with fitted straight lines.
 
     Parameters
@@ -73,8 +75,8 @@ def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = Non
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (2, n_inputs) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     columns = len(data)
     width = TWO_COLUMNS if columns > 1 else ONE_COLUMN
@@ -106,7 +108,7 @@ def plot_static_map(data: Sequence[StaticSweep], ax: Sequence[Axes] | None = Non
     letter(axes)
     figure.align_ylabels(axes)
     legend_above(figure, axes[0], title=title)
-    return figure
+    return np.array(axes[: 2 * columns], dtype=object).reshape(2, columns)
 
 
 def static_map_data(result: StaticMap) -> list[StaticSweep]:
@@ -133,7 +135,7 @@ def static_map_data(result: StaticMap) -> list[StaticSweep]:
     return sweeps
 
 
-def static_map_figure(found: StaticMap) -> Figure:
+def static_map_figure(found: StaticMap) -> npt.NDArray[np.object_]:
     """Draw a static map with its operating point (Fig. 5)."""
     known = {"pressure_bar", "speed_rpm"} <= set(found.conditions)
     title = point_label(found.conditions["pressure_bar"], found.conditions["speed_rpm"]) if known else ""

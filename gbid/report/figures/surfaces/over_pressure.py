@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -190,7 +189,7 @@ def static_gains_data(
 
 
 @styled
-def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> Figure:
+def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw a curve of the model for each speed, with the estimates as marks of the same colour.
 
     Parameters
@@ -202,8 +201,8 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_panels,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
     """
     rows = -(-len(data) // 2)
     figure, axes = panels(ax, rows, min(2, len(data)), size=(TWO_COLUMNS, 0.5 + 2.15 * rows), sharex=True)
@@ -223,7 +222,7 @@ def plot_over_pressure(data: Sequence[PressurePanel], ax: Sequence[Axes] | None 
     if len(data) > 1:
         letter(axes[: len(data)])
     legend_above(figure, axes[0], columns=max(1, len(data[0].speed_rpm)))
-    return figure
+    return np.array(axes[: len(data)], dtype=object)
 
 
 def _panels(

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from gbid.arrays import FloatArray
@@ -123,7 +122,7 @@ def surfaces_data(
 
 
 @styled
-def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> Figure:
+def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> npt.NDArray[np.object_]:
     """Draw a surface for each parameter, with the estimates on stems.
 
     Marks of the estimates are filled above the surface and open below it.
@@ -137,8 +136,8 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    (n_surfaces,) array of matplotlib Axes
+        The axes; ``axes.flat[0].figure`` is the figure.
 
     Raises
     ------
@@ -148,7 +147,7 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
     columns = min(2, len(data))
     rows = -(-len(data) // columns)
     size = (TWO_COLUMNS, 2.9 * rows)
-    figure, axes = (
+    _figure, axes = (
         panels(ax, rows, columns, size=size, subplot_kw={"projection": "3d"})
         if ax is None
         else panels(ax, len(data), size=size)
@@ -159,7 +158,7 @@ def plot_surfaces(data: Sequence[Surface], ax: Sequence[Axes] | None = None) -> 
         _plot_surface(panel, surface)
     for panel in axes[len(data) :]:
         panel.set_axis_off()
-    return figure
+    return np.array(axes[: len(data)], dtype=object)
 
 
 def _plot_surface(ax: Any, surface: Surface) -> None:
@@ -213,7 +212,7 @@ def fit_surfaces_data(fit: LPVFit, letter: Literal["k", "d", "b"]) -> list[Surfa
     return surfaces_data(fit.model, names, points=fit.estimates.points, estimates=estimates)
 
 
-def _drawn(letter: Literal["k", "d", "b"], fit: LPVFit) -> Figure:
+def _drawn(letter: Literal["k", "d", "b"], fit: LPVFit) -> npt.NDArray[np.object_]:
     return plot_surfaces(fit_surfaces_data(fit, letter))
 
 
