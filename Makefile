@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: run paper test lint types imports unit test-slow bench docs clean help
+.PHONY: run paper test lint types imports unit test-slow bench docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -63,6 +63,11 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html
+
+release-check: $(VENV)/.installed-test  ## wheel and source archive built, the wheel installed and tried in an environment of its own
+	rm -rf dist
+	$(BIN)/python -m build --outdir dist .
+	$(BIN)/python tests/support/try_release.py dist $(TRY)
 
 clean:  ## remove what was built, keep results
 	rm -rf $(VENV) docs/_build build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache

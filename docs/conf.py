@@ -27,7 +27,12 @@ author = "The gbid developers"
 project_copyright = "The gbid developers"
 release = version = __version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx_copybutton"]
+html_static_path = ["_static"]
+mathjax_path = "mathjax/tex-svg.js"  # MathJax 3.2.2 with its letters in one file: formulas need no network
+copybutton_prompt_text = "$ "
+copybutton_only_copy_prompt_lines = False
+copybutton_selector = "div.highlight:not(.cell_output *) pre"
 exclude_patterns = ["_build", "jupyter_execute"]
 source_suffix = {".md": "myst-nb"}
 

@@ -1,5 +1,6 @@
 """What travels inside the wheel, and from where; read from the build's own settings."""
 
+import re
 import tomllib
 
 from places import ROOT
@@ -29,3 +30,21 @@ def test_the_package_brings_its_types_and_its_style():
     assert (ROOT / "gbid" / "report" / "figures" / "gbid.mplstyle").is_file()
     assert (share_folder("models") / "theisen2016.yaml").is_file()
     assert (share_folder("experiments") / "quickstart.yaml").is_file()
+
+
+def test_the_version_stands_in_one_place():
+    version = (ROOT / "gbid" / "_version.py").read_text(encoding="utf-8").split('"')[-2]
+    assert PROJECT["project"]["dynamic"] == ["version"]
+    assert re.search(rf"^## {re.escape(version)}\b", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    for name in ("README.md", "CITATION.cff", "CONTRIBUTING.md", "docs/conf.py", "pyproject.toml"):
+        text = (ROOT / name).read_text(encoding="utf-8")
+        assert not re.search(rf"(?<![\d.]){re.escape(version)}(?![\d.])", text), name
+
+
+def test_each_file_of_the_project_is_in_the_source_archive():
+    """What stands at the root of the checkout, apart from what the build adds itself."""
+    sdist = PROJECT["tool"]["hatch"]["build"]["targets"]["sdist"]["include"]
+    own = {path.name for path in ROOT.iterdir() if not path.name.startswith(".") or path.suffix == ".yaml"}
+    made = {"dist", "build", "results"}
+    assert own - made <= {*sdist, "README.md", "LICENSE", "pyproject.toml"}
+    assert all((ROOT / name).exists() for name in sdist)

@@ -93,7 +93,7 @@ def test_poles_with_ellipses_and_several_models(result):
     assert np.abs(at[:, 0]).max() == pytest.approx(
         np.sqrt(-2 * np.log(0.05) * found.pole_covariance[0, 0, 0]), rel=0.01
     )
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == ["fit", "truth"]
+    assert [text.get_text() for text in axes.figure.legends[0].get_texts()] == ["fit", "truth"]
 
 
 @pytest.mark.parametrize(("plot", "kind"), [(report.plot_step, "step"), (report.plot_impulse, "impulse")])

@@ -24,7 +24,7 @@ from gbid.report.figures.save import figure_of
 
 DIAGRAMS = ("differential_pairing", "identification_flow", "rotor_bearing_model", "closed_loop")
 _UNIT = re.compile(r"\[[^\]]+\]")
-_COUNTS = ("pairs", "recording")
+_COUNTS = ("pairs", "recording", "magnitude", "coherence", "step response", "impulse response")  # or any unit
 
 
 @pytest.fixture(scope="module")

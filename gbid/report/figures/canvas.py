@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -24,7 +25,7 @@ R = TypeVar("R")
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
 """Widths of figures in a report of two columns [inch]."""
 
-BLACK, BLUE, RED, GREEN, PINK, GREY = "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#9e9e9e"
+BLACK, BLUE, RED, GREEN, PINK, GREY = "#000000", "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#8c8c8c"
 """Colours that colour-blind readers can distinguish (Okabe and Ito), and a grey."""
 
 SERIES: tuple[dict[str, Any], ...] = (
@@ -37,12 +38,31 @@ SERIES: tuple[dict[str, Any], ...] = (
 """Styles of the curves of one figure: each has its own colour, dashes and marker."""
 
 
+_COLOURS = (
+    *("text.color", "figure.facecolor", "axes.facecolor", "axes.edgecolor", "axes.labelcolor", "axes.titlecolor"),
+    *("xtick.color", "ytick.color", "xtick.labelcolor", "ytick.labelcolor", "legend.labelcolor"),
+)
+
+
+@contextmanager
+def own_style() -> Iterator[None]:
+    """Return a context with the style of gbid; the settings of matplotlib are restored afterwards.
+
+    The colours of paper and ink are those of the reader who works with pyplot, so that pictures fit a dark style. A
+    program that does not use pyplot, as the command line, draws on white.
+    """
+    now: Any = mpl.rcParams
+    own: Any = {key: now[key] for key in _COLOURS} if "matplotlib.pyplot" in sys.modules else {}
+    with mpl.rc_context(rc=own, fname=STYLE):
+        yield
+
+
 def styled(draw: Callable[P, R]) -> Callable[P, R]:
-    """Return a function that draws in the style of gbid; the settings of matplotlib are restored afterwards."""
+    """Return a function that draws in the style of gbid."""
 
     @wraps(draw)
     def wrapper(*args: P.args, **kwargs: P.kwargs) -> R:
-        with mpl.rc_context(fname=STYLE):
+        with own_style():
             return draw(*args, **kwargs)
 
     return wrapper
@@ -110,9 +130,16 @@ def panels(
     return figure_of(given[0]), given
 
 
+def ink() -> str:
+    """Return the colour of the text: black, and light where the reader has chosen a dark style of matplotlib."""
+    return str(mpl.rcParams["text.color"])
+
+
 def series(i: int, **changes: Any) -> dict[str, Any]:
     """Return the style of the i-th curve with changes; a property that is changed to None is left out."""
     style = {**SERIES[i % len(SERIES)], **changes}
+    if style.get("color") == BLACK:
+        style["color"] = ink()
     return {key: value for key, value in style.items() if value is not None}
 
 

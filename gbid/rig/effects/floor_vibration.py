@@ -1,4 +1,4 @@
-"""Vibration of the floor that shakes the machine."""
+"""Vibration of the floor, which moves the frame of the machine."""
 
 from __future__ import annotations
 

@@ -8,10 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.brief import Brief
 
 
 @dataclass(frozen=True, eq=False)
-class RigRun:
+class RigRun(Brief):
     """Run of the rig, as an effect sees it: n samples from the start of the settling time, and one more.
 
     Attributes

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import Brief
 from gbid.report.figures.canvas import (
-    BLACK,
     GREY,
+    ink,
     legend_above,
     panels,
     series,
@@ -169,7 +169,7 @@ def plot_root_locus(data: RootLocus, ax: Axes | None = None, *, largest_hz: floa
     cloud = panel.scatter(poles.real[shown], poles.imag[shown], s=5, c=factor[shown], cmap="viridis", linewidths=0)
     for row, marker in ((0, "o"), (-1, "s")):
         at, near = poles[row], shown[row]
-        look: dict[str, Any] = {"color": BLACK, "markersize": 5, "markerfacecolor": "none", "linestyle": "none"}
+        look: dict[str, Any] = {"color": ink(), "markersize": 5, "markerfacecolor": "none", "linestyle": "none"}
         label = f"{data.factor[row]:g}"
         panel.plot(at.real[near], at.imag[near], marker=marker, label=label, **look)
     bar = figure.colorbar(cloud, ax=panel, pad=0.02)
@@ -187,7 +187,7 @@ def _hertz(poles: ComplexArray) -> ComplexArray:
 
 def _finish_plane(ax: Any, largest_hz: float) -> None:
     """Draw rays of equal damping, labels with units, and the limit of stability."""
-    ax.axvline(0.0, color=BLACK, linewidth=0.9)
+    ax.axvline(0.0, color=ink(), linewidth=0.9)
     left, right = ax.get_xlim()
     left = min(left, -0.05 * largest_hz)
     right = max(right, 0.02 * largest_hz)

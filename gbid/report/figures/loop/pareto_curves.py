@@ -13,7 +13,7 @@ from gbid.brief import Brief
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.control.tuning.gain_result import GainResult
 from gbid.report.figures.canvas import (
-    BLACK,
+    ink,
     panels,
     series,
     styled,
@@ -139,7 +139,7 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
         values = np.asarray(data.damping[label], float)[order]
         panel.plot(np.asarray(peak, float)[order], values, label=label, markersize=3.5, **series(k))
     for k, (label, (peak_so, damping)) in enumerate(data.designs.items()):
-        look: dict[str, Any] = {"color": BLACK, "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
+        look: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
         panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **look)
     panel.set_xlabel("peak of the output sensitivity $S_o$ [-]")
     panel.set_ylabel("smallest damping factor [-]")

@@ -12,11 +12,11 @@ import numpy.typing as npt
 from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import Brief
 from gbid.report.figures.canvas import (
-    BLACK,
     BLUE,
     GREY,
     RED,
     TWO_COLUMNS,
+    ink,
     legend_above,
     letter,
     panels,
@@ -78,7 +78,7 @@ def plot_actuator_parameters(data: ActuatorParameters, ax: Sequence[Axes] | None
                 k = data.nominal
                 panel.axhline(values[k], color=GREY, linewidth=0.9, linestyle=(0, (5, 1.5)), zorder=0)
                 ring: dict[str, Any] = {"markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.1}
-                panel.plot(number[k], values[k], "o", color=BLACK, label=f"nominal, no. {k + 1}", **ring)
+                panel.plot(number[k], values[k], "o", color=ink(), label=f"nominal, no. {k + 1}", **ring)
             panel.set_ylabel(f"${symbol % axis}$ [{unit}]")
             panel.ticklabel_format(axis="y", useOffset=False)
     for panel in axes[4:6]:

@@ -15,9 +15,9 @@ from gbid.characterise import PiezoCurve
 from gbid.errors import UsageError
 from gbid.recording import Recording
 from gbid.report.figures.canvas import (
-    BLACK,
     RED,
     TWO_COLUMNS,
+    ink,
     legend_above,
     letter,
     panels,
@@ -170,7 +170,7 @@ def plot_piezo_staircase(data: Sequence[PiezoStaircase], ax: Sequence[Axes] | No
     figure, axes = panels(ax, 1, 2, size=(TWO_COLUMNS, 2.7))
     for k, staircase in enumerate(data):
         rising = staircase.plateaus()[2]
-        color = (BLACK, RED)[k] if k < 2 else series(k)["color"]
+        color = (ink(), RED)[k] if k < 2 else series(k)["color"]
         labelled: set[bool] = set()
         for (time, position), up in zip(staircase.single_steps(), rising, strict=True):
             word = None if bool(up) in labelled else f"{plain_label(staircase.label)}, {'up' if up else 'down'}"

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
 from matplotlib.figure import Figure
@@ -14,8 +13,8 @@ from matplotlib.figure import Figure
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.brief import Brief
 from gbid.errors import UsageError
-from gbid.report.figures.canvas import new_figure, styled
-from gbid.report.figures.save import STYLE, plain_label, symbol
+from gbid.report.figures.canvas import new_figure, own_style, styled
+from gbid.report.figures.save import plain_label, symbol
 from gbid.tables.numbers import probability
 
 if TYPE_CHECKING:
@@ -101,7 +100,7 @@ def residuals_figure(test: ResidualTest, *, title: str | None = None) -> Figure:
     matplotlib.figure.Figure
         Figure with lags in samples below and in milliseconds above. The band of 99 % is shaded.
     """
-    with mpl.rc_context(fname=STYLE):
+    with own_style():
         n_rows, n_columns = len(test.output_names), 1 + len(test.input_names)
         size = (_COLUMN_INCHES * max(n_columns, 2), _FRAME_INCHES + _ROW_INCHES * n_rows)
         figure = new_figure(size)

@@ -14,7 +14,7 @@ from gbid.errors import DataError, UsageError
 from gbid.experiment.stages.crossval.pairing import validate_pair
 from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.stage import fit_path
-from gbid.report.figures.canvas import panels, styled
+from gbid.report.figures.canvas import ink, panels, styled
 from gbid.report.figures.named import NamedFigure
 from gbid.report.figures.save import plain_label, symbol
 from gbid.report.reader import Results
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 _MEASURED: dict[str, Any] = {"color": "#9e9e9e", "linewidth": 2.6, "linestyle": "-"}
 _SIMULATED: dict[str, Any] = {"color": "#0072b2", "linewidth": 1.3, "linestyle": (0, (4, 1.5))}
 _INPUTS: tuple[dict[str, Any], ...] = (
-    {"color": "#000000", "linestyle": "-"},
+    {"linestyle": "-"},
     {"color": "#d55e00", "linestyle": (0, (5, 1.5))},
     {"color": "#009e73", "linestyle": (0, (1, 1))},
     {"color": "#cc79a7", "linestyle": "-."},
@@ -126,7 +126,7 @@ def plot_response(
 def _plot_inputs(validation: Validation, ax: Axes, shown: BoolArray) -> None:
     scale, label = _shown_unit(validation.input_units[0])
     for i, name in enumerate(validation.input_names):
-        style = _INPUTS[i % len(_INPUTS)]
+        style = {"color": ink(), **_INPUTS[i % len(_INPUTS)]}
         ax.plot(validation.time[shown], scale * validation.inputs[shown, i], label=symbol(name), **style)
     if len(validation.input_names) > 1:
         _legend_above(ax)

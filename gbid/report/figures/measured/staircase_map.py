@@ -14,11 +14,11 @@ from gbid.brief import Brief
 from gbid.characterise import StaticMap
 from gbid.operating_point import point_label
 from gbid.report.figures.canvas import (
-    BLACK,
     BLUE,
     ONE_COLUMN,
     RED,
     TWO_COLUMNS,
+    ink,
     legend_above,
     letter,
     panels,
@@ -87,7 +87,7 @@ def plot_static_map(
             panel = axes[columns * i + j]
             rms = float(np.sqrt(np.mean((sweep.p[:, i] - sweep.gain[i] * sweep.u - sweep.offset[i]) ** 2)))
             line = sweep.gain[i] * ends + sweep.offset[i]
-            panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=BLACK, linewidth=0.9, label="straight line")
+            panel.plot(_MICROMETRES * ends, _MICROMETRES * line, color=ink(), linewidth=0.9, label="straight line")
             for there, marker, color, label in (
                 (sweep.rising, "^", BLUE, "rising"),
                 (~sweep.rising, "v", RED, "falling"),

@@ -14,7 +14,7 @@ from gbid.errors import UsageError
 from gbid.identify.curves.bode import LEVEL, Bode, bode, default_grid
 from gbid.identify.curves.measured_response import MeasuredResponse
 from gbid.identify.curves.uncertain_model import UncertainModel
-from gbid.report.figures.canvas import GREY, TWO_COLUMNS, legend_above, panels, series, styled
+from gbid.report.figures.canvas import GREY, TWO_COLUMNS, ink, legend_above, panels, series, styled
 from gbid.report.figures.model.frequency_axis import frequency_axis
 from gbid.report.figures.model.sources import Sources, labelled
 from gbid.report.figures.save import symbol
@@ -115,6 +115,8 @@ def plot_bode(
         sharex=True,
         gridspec_kw={"height_ratios": heights},
     )
+    if ax is None and n_y > 1:
+        figure.get_layout_engine().set(h_pad=0.08)  # type: ignore[union-attr]  # a new figure has one
     axes = np.array(given[: len(heights) * n_u], dtype=object).reshape(len(heights), n_u)
     for i in range(n_y):
         for j in range(n_u):
@@ -144,7 +146,7 @@ def _draw(
     f = curve.frequency_hz
     magnitude.loglog(f, curve.magnitude[:, i, j], label=label, **style)
     phase.semilogx(f, curve.phase_deg[:, i, j], **style)
-    phase.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.8, 4.5, 9, 10]))
+    _degrees(phase)
     if not curve.has_band:
         return
     band: dict[str, Any] = {"color": style["color"], "alpha": 0.25, "linewidth": 0}
@@ -171,15 +173,22 @@ def _draw_measured(
     f, value = measured.frequency_hz, measured.response[:, i, j]
     clear = measured.std[:, i, j] < 0.5 * np.abs(value)
     limits = column[0].get_ylim()  # those of the model: where there is only noise, the points lie anywhere
-    column[0].loglog(f[clear], np.abs(value[clear]), label="measured", **_MEASURED)
-    phase = np.degrees(np.angle(value))
+    look = _MEASURED if model is not None else {**_MEASURED, "color": ink()}
+    column[0].loglog(f[clear], np.abs(value[clear]), label="measured", **look)
+    phase = np.degrees(np.unwrap(np.angle(value)))
     if model is not None:
         column[0].set_ylim(0.5 * limits[0], 2 * limits[1])
         near = np.interp(f, model.frequency_hz, model.phase_deg[:, i, j])
         phase = phase + 360 * np.round((near - phase) / 360)  # on the turn of the model
-    column[1].semilogx(f[clear], phase[clear], **_MEASURED)
+    column[1].semilogx(f[clear], phase[clear], **look)
+    _degrees(column[1])
     column[2].semilogx(f, measured.coherence[:, i], color=GREY, linewidth=0.9)
     column[2].set_ylim(0.0, 1.05)
+
+
+def _degrees(ax: Axes) -> None:
+    """Put the ticks of a phase at parts of a turn."""
+    ax.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.8, 4.5, 9, 10]))
 
 
 def _within_decades(magnitude: FloatArray) -> tuple[float, float]:

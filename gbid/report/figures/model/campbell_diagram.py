@@ -113,14 +113,20 @@ def plot_campbell(
         style = series(k)
         half = quantile(level) * data.std_hz[:, k]
         axes.errorbar(
-            data.speed_rpm, column, yerr=np.where(np.isfinite(half), half, 0.0), capsize=2, markersize=4, **style
+            data.speed_rpm,
+            column,
+            yerr=np.where(np.isfinite(half), half, 0.0),
+            capsize=2,
+            markersize=4,
+            clip_on=False,
+            **style,
         )
     top = 1.15 * float(np.nanmax(data.frequency_hz)) if np.isfinite(data.frequency_hz).any() else 1.0
     last = float(data.speed_rpm[-1])
     for order in orders:
         axes.plot([0, last], [0, order * last / 60], color=GREY, linewidth=0.9, zorder=0)
         at = min(last, 60 * top / order) if order else last
-        axes.annotate(f"{order:g}X", (0.97 * at, 0.97 * order * at / 60), color=GREY, ha="right", va="bottom")
+        axes.annotate(f"{order:g}X", (0.97 * at, 0.97 * order * at / 60), alpha=0.7, ha="right", va="bottom")
     axes.set_ylim(0.0, top)
     axes.set_xlim(min(0.0, float(data.speed_rpm[0])), 1.02 * last if last > 0 else 1.0)
     axes.set_xlabel("speed [rpm]")

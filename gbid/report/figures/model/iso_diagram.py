@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gbid.control import ISO_LIMITS, Sensitivities, SensitivityZones, sensitivity_zones
-from gbid.report.figures.canvas import panels, series, styled
+from gbid.report.figures.canvas import legend_above, panels, series, styled
 from gbid.report.figures.model.frequency_axis import frequency_axis
 from gbid.report.figures.save import symbol
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-_SHADES = {"A": "#ffffff", "B": "#efefef", "C": "#dcdcdc", "D": "#c4c4c4"}
+_SHADES = {"A": 0.0, "B": 0.13, "C": 0.27, "D": 0.45}  # opacity of a grey, on any background
 
 
 @styled
@@ -34,13 +34,13 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
         The axes; ``axes.figure`` is the figure.
     """
     data = loop if isinstance(loop, SensitivityZones) else sensitivity_zones(loop)
-    _, (axes, *_) = panels(ax, size=(4.6, 3.2))
+    figure, (axes, *_) = panels(ax, size=(4.6, 3.2))
     low, high = float(data.frequency_hz[0]), float(data.frequency_hz[-1])
     top = max(6.0, 1.1 * float(np.max(data.magnitude)))
     floor = 0.0
     for zone, limit in ISO_LIMITS.items():
         ceiling = min(limit, top)
-        axes.axhspan(floor, ceiling, color=_SHADES[zone], linewidth=0, zorder=0)
+        axes.axhspan(floor, ceiling, color="0.5", alpha=_SHADES[zone], linewidth=0, zorder=0)
         axes.text(0.985, 0.5 * (floor + ceiling), zone, transform=axes.get_yaxis_transform(), ha="right", va="center")
         floor = ceiling
     for k, axis in enumerate(data.axes):
@@ -51,5 +51,5 @@ def plot_iso_zones(loop: Sensitivities | SensitivityZones, ax: Axes | None = Non
     axes.grid(False)
     axes.set_xlabel("frequency [Hz]")
     axes.set_ylabel("sensitivity [-]")
-    axes.legend(loc="upper left")
+    legend_above(figure, axes, columns=2)
     return axes

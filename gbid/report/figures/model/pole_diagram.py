@@ -9,11 +9,13 @@ import numpy as np
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.identify.curves.bode import LEVEL
 from gbid.identify.curves.pole_zero import PoleZero, ellipse, pole_zero
-from gbid.report.figures.canvas import GREY, panels, series, styled
+from gbid.report.figures.canvas import GREY, legend_above, panels, series, styled
 from gbid.report.figures.model.sources import Sources, labelled
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+_MARKS = (("x", "o"), ("+", "s"), ("1", "^"), ("2", "D"), ("3", "v"))  # poles and zeros of each model
 
 
 def pole_data(sources: Sources) -> dict[str, PoleZero]:
@@ -39,7 +41,7 @@ def pole_data(sources: Sources) -> dict[str, PoleZero]:
 
 @styled
 def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL, zeros: bool = True) -> Axes:
-    """Draw poles (crosses) and zeros (circles) of models, with the confidence ellipses of those of a fit.
+    """Draw poles (crosses) and zeros (open marks) of models, with the confidence ellipses of those of a fit.
 
     Parameters
     ----------
@@ -63,20 +65,20 @@ def plot_poles(sources: Sources, ax: Axes | None = None, *, level: float = LEVEL
         When the models differ in the number of channels.
     """
     data = pole_data(sources)
-    _, (axes, *_) = panels(ax, size=(4.6, 3.6))
+    figure, (axes, *_) = panels(ax, size=(4.6, 3.6))
     axes.axvline(0.0, color=GREY, linewidth=0.8)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     for k, (label, found) in enumerate(data.items()):
-        color = series(k)["color"]
-        axes.plot(found.poles.real, found.poles.imag, "x", color=color, label=label, markersize=6)
+        color, (cross, ring) = series(k)["color"], _MARKS[k % len(_MARKS)]
+        axes.plot(found.poles.real, found.poles.imag, cross, color=color, label=label, markersize=7)
         _ellipses(axes, found.poles, found.pole_covariance, level, color)
         if zeros and len(found.zeros):
-            axes.plot(found.zeros.real, found.zeros.imag, "o", color=color, markersize=5, fillstyle="none")
+            axes.plot(found.zeros.real, found.zeros.imag, ring, color=color, markersize=6, fillstyle="none")
             _ellipses(axes, found.zeros, found.zero_covariance, level, color)
     axes.set_xlabel("real part [1/s]")
     axes.set_ylabel("imaginary part [rad/s]")
     if len(data) > 1:
-        axes.legend()
+        legend_above(figure, axes)
     return axes
 
 

@@ -16,10 +16,10 @@ from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv import LPVFit
 from gbid.report.figures.canvas import (
-    BLACK,
     BLUE,
     RED,
     TWO_COLUMNS,
+    ink,
     panels,
     styled,
 )
@@ -175,7 +175,7 @@ def _plot_surface(ax: Any, surface: Surface) -> None:
             x[:1], y[:1], [scale * value], "o", markersize=3.2, color=RED, markerfacecolor=fill, markeredgewidth=0.8
         )
     unit = f"10{str(exponent).translate(_SUPERSCRIPTS)} {surface.unit}" if exponent else surface.unit
-    ax.set_title(f"{symbol(surface.name)} [{unit}]", color=BLACK, y=1.0, pad=0)
+    ax.set_title(f"{symbol(surface.name)} [{unit}]", color=ink(), y=1.0, pad=0)
     ax.set_xlabel("pressure [bar]", labelpad=-4)
     ax.set_ylabel("speed [1000 rpm]", labelpad=-4)
     ax.tick_params(pad=-2, labelsize=7)
