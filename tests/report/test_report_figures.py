@@ -47,7 +47,7 @@ def ticks_in_view(figure):
     for ax in figure.axes:
         for axis in (ax.xaxis, ax.yaxis, *([ax.zaxis] if hasattr(ax, "zaxis") else [])):
             low, high = sorted(axis.get_view_interval())
-            margin = 1e-9 * (high - low)
+            margin = 1e-9 * (high - low if axis.get_scale() == "linear" else low)
             for tick in [*axis.get_major_ticks(), *axis.get_minor_ticks()]:
                 if not low - margin <= tick.get_loc() <= high + margin:
                     hidden |= {id(tick.label1), id(tick.label2)}

@@ -115,8 +115,6 @@ def plot_bode(
         sharex=True,
         gridspec_kw={"height_ratios": heights},
     )
-    if ax is None and n_y > 1:
-        figure.get_layout_engine().set(h_pad=0.08)  # type: ignore[union-attr]  # a new figure has one
     axes = np.array(given[: len(heights) * n_u], dtype=object).reshape(len(heights), n_u)
     for i in range(n_y):
         for j in range(n_u):
