@@ -35,6 +35,7 @@ _MODULES = (
     "surfaces.surface_panels",
 )
 """Modules of `gbid.report.figures` with the public names."""
+_PACKAGES = ("figures", "html", "paper", "reader", "tables")
 
 __all__ = [
     "ActuatorParameters",
@@ -113,7 +114,9 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Import the figures at the first use of one (PEP 562)."""
+    """Import the figures, or a package of the report, at the first use of one (PEP 562)."""
+    if name in _PACKAGES:
+        return import_module(f"gbid.report.{name}")
     if name in __all__:
         for module in _MODULES:
             found = getattr(import_module(f"gbid.report.figures.{module}"), name, None)

@@ -1,5 +1,7 @@
 """What results say of themselves in a Python shell: few lines, with what a reader asks for first."""
 
+import subprocess
+import sys
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib import import_module
 from pkgutil import walk_packages
@@ -147,6 +149,22 @@ def test_values_with_arrays_are_brief():
     long = {kind for kind in exported() if any("Array" in str(f.type) for f in fields(kind))}
     assert len(long) > 40
     assert {kind.__name__ for kind in long if kind.__repr__ is not Brief.__repr__} == set()
+
+
+def test_packages_are_there_as_written():
+    """In a process that has imported nothing else."""
+    code = """
+import sys, gbid
+assert not [name for name in sys.modules if name.startswith("gbid.") and name != "gbid._version"]
+assert gbid.control.tuning.goals and gbid.report.figures.model and gbid.rig.effects and gbid.prefilter.prefilter
+assert "control" in dir(gbid)
+try:
+    gbid.contrl
+except AttributeError as error:
+    print(error)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "module 'gbid' has no attribute 'contrl'\n"
 
 
 def test_notebooks_show_a_table(folder):

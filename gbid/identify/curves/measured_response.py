@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from gbid.extras import Pictured
 from gbid.identify.data import select
 from gbid.recording import Recording
 from gbid.structure import as_names
+from gbid.tables.table import Column, Entry, Table
 
 _SEGMENTS = 12  # usual number of segments of the shortest recording, which overlap by half
 _CORRELATED = 1 / 18  # twice the squared correlation of the spectra of neighbouring Hann segments (Welch, 1967)
+_NUMBERS = ("frequency_hz", "magnitude", "magnitude_std", "phase_deg", "coherence")
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +54,33 @@ class MeasuredResponse(Brief, Pictured):
     def _brief(self) -> Description:
         about = f"{len(self.frequency_hz)} frequencies, {self.averages:.1f} averages"
         return brief(self, about, input_names=self.input_names, output_names=self.output_names)
+
+    def table(self) -> Table:
+        """Return the numbers as a table, with a row for each output, input and frequency."""
+        columns = [Column("output"), Column("input"), *(Column(name, format=8) for name in _NUMBERS)]
+        rows: list[list[Entry]] = [
+            [output, source, *(float(value) for value in (f, abs(h), std, np.degrees(np.angle(h)), coherence))]
+            for i, output in enumerate(self.output_names)
+            for j, source in enumerate(self.input_names)
+            for f, h, std, coherence in zip(
+                self.frequency_hz, self.response[:, i, j], self.std[:, i, j], self.coherence[:, i], strict=True
+            )
+        ]
+        return Table("measured frequency response", columns, rows)
+
+    def to_frame(self) -> Any:
+        """Return the table as a data frame.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return self.table().to_frame()
 
 
 def measured_response(
