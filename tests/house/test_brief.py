@@ -156,7 +156,7 @@ def test_packages_are_there_as_written():
     code = """
 import sys, gbid
 assert not [name for name in sys.modules if name.startswith("gbid.") and name != "gbid._version"]
-assert gbid.control.tuning.goals and gbid.report.figures.model and gbid.rig.effects and gbid.prefilter.prefilter
+assert gbid.control.tuning.goals and gbid.report.figures and gbid.rig.effects and gbid.prefilter.prefilter
 assert "control" in dir(gbid)
 try:
     gbid.contrl
