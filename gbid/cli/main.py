@@ -59,7 +59,9 @@ def _gbid(
 app.command(
     "new",
     rich_help_panel=START,
-    epilog=examples("gbid new rig1", "gbid new --list", "gbid new rig2 --template own-recordings"),
+    epilog=examples(
+        "gbid new rig1", "gbid new --list", "gbid new rig2 --template own-recordings", "gbid new rig3 --from measured"
+    ),
 )(new)
 app.command("check", rich_help_panel=START, epilog=examples("gbid check rig1/experiment.yaml"))(check)
 app.command(

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +19,16 @@ from gbid.structure import LinearModel
 SCHEMA = "experiment.schema.json"
 """Name of the schema file beside an experiment; an editor completes and checks keys with it."""
 
+EXPERIMENT = "experiment.yaml"
+
 
 def write_template(template: str, folder: Path) -> list[Path]:
     """Write the files of a template and the schema for editors into a new or empty folder: all of them or none.
 
     Parameters
     ----------
-    template : {"quickstart", "own-recordings"}
-        Name of the template.
+    template : str
+        Name of the template, as `gbid new --list` shows it.
     folder : pathlib.Path
         Folder to write to.
 
@@ -41,24 +44,62 @@ def write_template(template: str, folder: Path) -> list[Path]:
     DataError
         When the folder cannot be written.
     """
+    source = share_folder("experiments") / template.replace("-", "_")
+    return _write(folder, lambda part: _copy(source, part))
+
+
+def write_draft(text: str, folder: Path) -> list[Path]:
+    """Write an experiment and the schema for editors into a new or empty folder: both or none.
+
+    Raises
+    ------
+    UsageError
+        When the folder exists and is not empty.
+    DataError
+        When the folder cannot be written.
+    """
+    return _write(folder, lambda part: _write_text(part / EXPERIMENT, text))
+
+
+def _write_text(path: Path, text: str) -> None:
+    path.write_text(text, encoding="utf-8")
+
+
+def _copy(source: Path, part: Path) -> None:
+    """Copy a template, which is a file or a folder; a folder has example data made for it."""
+    if not source.is_dir():
+        shutil.copyfile(source.with_suffix(".yaml"), part / EXPERIMENT)
+        return
+    for file in sorted(source.iterdir()):
+        if file.suffix in (".yaml", ".py"):
+            shutil.copyfile(file, part / file.name)
+    (part / "data").mkdir()
+    write = _EXAMPLE_DATA[source.name]
+    for seed in (1, 2):
+        write(part / "data" / f"run{seed}.csv", seed)
+
+
+def refuse_used(folder: Path) -> None:
+    """Refuse a folder that exists and is not empty.
+
+    Raises
+    ------
+    UsageError
+        When it is so.
+    """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise UsageError(f"{folder} exists and is not empty; choose another folder")
-    experiments = share_folder("experiments")
+
+
+def _write(folder: Path, fill: Callable[[Path], None]) -> list[Path]:
+    refuse_used(folder)
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
         part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}.", suffix=".part"))
     except OSError as error:
         raise DataError(f"{folder}: cannot be written: {error.strerror or error}") from None
     try:
-        if template == "quickstart":
-            shutil.copyfile(experiments / "quickstart.yaml", part / "experiment.yaml")
-        else:
-            for file in sorted((experiments / "own_recordings").iterdir()):
-                if file.suffix in (".yaml", ".py"):
-                    shutil.copyfile(file, part / file.name)
-            (part / "data").mkdir()
-            for seed in (1, 2):
-                write_example_data(part / "data" / f"run{seed}.csv", seed)
+        fill(part)
         _add_schema(part)
         mask = os.umask(0)
         os.umask(mask)
@@ -75,7 +116,7 @@ def _add_schema(folder: Path) -> None:
     """Write the schema, and name it in the first line of the experiment, where editors look for it."""
     schema = json.dumps(experiment_json_schema(), indent=2, ensure_ascii=False)
     (folder / SCHEMA).write_text(schema + "\n", encoding="utf-8")
-    experiment = folder / "experiment.yaml"
+    experiment = folder / EXPERIMENT
     text = experiment.read_text(encoding="utf-8")
     experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
 
@@ -107,3 +148,7 @@ def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time
     time = 1e3 * sample_time * np.arange(n_samples)
     rows = np.column_stack([time, volt, 1e6 * metre])
     np.savetxt(path, rows, delimiter=",", header="time [ms],drive [V],position [um]", comments="", fmt="%.6g")
+
+
+_EXAMPLE_DATA = {"own_recordings": write_example_data}
+"""Writer of the example data of each template with data."""

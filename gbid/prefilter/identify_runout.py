@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import eigvalsh, solve
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
@@ -145,13 +146,16 @@ def _fit_harmonics(
     basis = np.hstack([own_mean, np.sqrt(2) * np.cos(phase), np.sqrt(2) * np.sin(phase)])
     if len(basis) <= basis.shape[1]:
         raise DataError(f"{len(basis)} samples cannot determine {len(orders)} harmonics; use fewer harmonics")
-    solution, _, _, singular = np.linalg.lstsq(basis, np.vstack(p), rcond=None)
+    # The condition number of a map that is accepted is small, so that the normal equations lose no digits.
+    gram = basis.T @ basis
+    squares = eigvalsh(gram)
     shares = np.sqrt(len(p))  # the column of a mean is nonzero only for its own recording
-    if singular[0] > _WORST_CONDITION * shares * singular[-1]:
+    if squares[-1] > (_WORST_CONDITION * shares) ** 2 * squares[0]:
         raise DataError(
             f"the recorded shaft angles cannot distinguish {len(orders)} harmonics; at constant speed a turn "
             "needs more than twice as many samples as harmonics: use fewer harmonics"
         )
+    solution = solve(gram, basis.T @ np.vstack(p), assume_a="pos")
     means = list(solution[: len(p)])
     cosine, sine = np.split(np.sqrt(2) * solution[len(p) :], 2)
     return means, cosine, sine

@@ -25,8 +25,9 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
     """Return jumps and stops of the shaft angle phi: lost counts, a lost index, a blocked encoder.
 
     The increments of the angle from sample to sample, wrapped to half a turn, follow the speed. A single increment
-    far from the median of its neighbours is a jump. A stretch without increments while the rest turns is a stop. The
-    step from a full turn to zero is neither.
+    far from the median of its neighbours is a jump. A stretch without increments while the rest turns is a stop. At the
+    begin or the end of a recording it is a shaft at rest (`gbid.recording.quality_speed`). The step from a full turn to
+    zero is neither.
     """
     increments = turning_increments(rec)
     if increments is None:
@@ -91,7 +92,8 @@ def turning_increments(rec: Recording) -> FloatArray | None:
 
 
 def _long_runs(at: FloatArray, least: int) -> FloatArray:
-    """Return the indices of the true entries in runs of at least a given length."""
+    """Return the indices of the true entries in runs of at least a given length that touch neither end."""
     edges = np.flatnonzero(np.diff(at, prepend=False, append=False))
-    runs = [np.arange(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    pairs = [(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]
+    runs = [np.arange(a, b) for a, b in pairs if a > 0 and b < len(at)]
     return np.concatenate(runs) if runs else np.zeros(0, int)

@@ -17,6 +17,7 @@ from scipy.io import loadmat
 from gbid.cli.completion import complete_experiment, complete_source
 from gbid.cli.groups import GROUPS
 from gbid.cli.main import app
+from gbid.cli.new import Template
 from gbid.experiment.json_schema import experiment_json_schema
 from gbid.yaml_file import read_yaml
 
@@ -69,7 +70,7 @@ def test_every_verb_shows_examples_that_name_real_options(verb, capsys):
 def test_new_lists_templates_and_says_what_comes_next(tmp_path, capsys):
     assert gbid("new", "--list") == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["quickstart", "own-recordings"]
+    assert [line.split()[0] for line in lines] == [template.value for template in Template]
     for line in lines:
         folder = tmp_path / line.split()[0]
         assert gbid("new", folder, "--template", folder.name) == 0
@@ -77,8 +78,9 @@ def test_new_lists_templates_and_says_what_comes_next(tmp_path, capsys):
         assert f"next: gbid run {folder / 'experiment.yaml'}" in captured.err
         first, rest = (folder / "experiment.yaml").read_text().split("\n", 1)
         assert first == "# yaml-language-server: $schema=experiment.schema.json"
-        source = "quickstart.yaml" if folder.name == "quickstart" else "own_recordings/experiment.yaml"
-        assert rest == (ROOT / "experiments" / source).read_text()
+        source = ROOT / "experiments" / folder.name.replace("-", "_")
+        source = source / "experiment.yaml" if source.is_dir() else source.with_suffix(".yaml")
+        assert rest == source.read_text()
         assert json.loads((folder / "experiment.schema.json").read_text()) == experiment_json_schema()
 
 

@@ -266,11 +266,11 @@ def test_a_speed_that_changes_is_named_with_the_part_to_keep(prbs):
     for share, words in (
         (
             np.minimum(1.0, 0.2 + 2.0 * np.arange(n) / n),
-            "a run-up before it: cut to the part at this speed with from_s: 0.4",
+            "a run-up before it: cut to the part at this speed with from_s: 0.45 (sec",
         ),
         (
             np.minimum(1.0, 2.0 - 1.5 * np.arange(n) / n),
-            "a change of speed beside it: cut to the part at this speed with to_s: 0.6",
+            "a change of speed beside it: cut to the part at this speed with to_s: 0.65 (sec",
         ),
         (0.3 + 0.5 * np.arange(n) / n, "in 100% of it, but speed_rpm = 6000; correct speed_rpm"),
     ):

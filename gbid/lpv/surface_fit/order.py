@@ -14,7 +14,7 @@ from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
 from gbid.lpv.basis import SCHEDULING
-from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, exponents_of, orthonormal
+from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, orthonormal, varying_exponents
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +45,8 @@ def compare_orders(
 ) -> tuple[OrderScore, ...]:
     """Return the scores of the orders 0 to 3, by leave-one-operating-point-out cross-validation.
 
+    Terms in a variable that is the same at all points are left out of each order.
+
     Parameters
     ----------
     points : (n, n_variables) array
@@ -62,7 +64,7 @@ def compare_orders(
     lowest = np.nan
     for order in range(HIGHEST_ORDER + 1):
         try:
-            rms = _left_out(points, values, exponents_of(order, points.shape[1]), scheduling)
+            rms = _left_out(points, values, varying_exponents(points, order), scheduling)
         except DataError as error:
             scores.append(OrderScore(order, np.full(values.shape[1], np.nan), np.nan, str(error)))
             continue
@@ -73,17 +75,9 @@ def compare_orders(
 
 
 def best_order(scores: tuple[OrderScore, ...], highest: int = 2) -> int:
-    """Return the order with the best score, up to `highest`.
-
-    Raises
-    ------
-    DataError
-        When no order is possible.
-    """
+    """Return the order with the best score, up to `highest`; 0 where no order can be compared, as with one point."""
     possible = [s for s in scores if s.order <= highest and np.isfinite(s.score)]
-    if not possible:
-        raise DataError(f"order = 'auto': no order can be compared ({scores[0].why_not})")
-    return min(possible, key=lambda s: s.score).order
+    return min(possible, key=lambda s: s.score).order if possible else 0
 
 
 def lack_of_fit(

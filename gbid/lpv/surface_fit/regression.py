@@ -19,7 +19,15 @@ from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import OrderScore, best_order, compare_orders, lack_of_fit
 from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, Outlier, huber_estimate, outliers, standardised
-from gbid.lpv.surface_fit.terms import Exponents, Order, Orthonormal, chosen_exponents, orthonormal, term_name
+from gbid.lpv.surface_fit.terms import (
+    Exponents,
+    Order,
+    Orthonormal,
+    chosen_exponents,
+    orthonormal,
+    term_name,
+    varying_exponents,
+)
 from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]
@@ -75,7 +83,10 @@ def regression(estimates: Estimates, weighting: Weighting, order: Order, robust:
     scheduling = estimates.scheduling
     compared = compare_orders(estimates.points, estimates.values, scheduling)
     by_score = isinstance(order, str) and order == "auto"
-    exponents = chosen_exponents(best_order(compared) if by_score else order, scheduling)
+    if by_score:
+        exponents = varying_exponents(estimates.points, best_order(compared))
+    else:
+        exponents = chosen_exponents(order, scheduling)
     design = orthonormal(estimates.points, exponents, scheduling)
     with one_blas_thread():  # threads do not speed up small matrices
         solved = _solve(estimates, design, weighting, robust)

@@ -43,6 +43,35 @@ def exponents_of(order: int, n_variables: int = 2) -> Exponents:
     return tuple(tuple(c.count(i) for i in range(n_variables)) for c in chosen)
 
 
+def varying_exponents(points: FloatArray, order: int) -> Exponents:
+    """Return the powers up to an order, without those of a variable that is the same at all points (n, n_variables)."""
+    fixed = np.ptp(points, axis=0) == 0
+    powers = exponents_of(order, points.shape[1])
+    return tuple(e for e in powers if not any(power and fixed[i] for i, power in enumerate(e)))
+
+
+def possible_order(points: FloatArray, scheduling: Sequence[str] = SCHEDULING) -> int | tuple[str, ...]:
+    """Return the highest order up to 2 that operating points determine, as the argument ``order`` takes it.
+
+    It is a list of terms where a variable is the same at all points. Where several vary, one more operating point
+    than terms is asked for, because surfaces through all points would fit noise.
+    """
+    if not len(points):
+        return 0
+    varying = int((np.ptp(points, axis=0) > 0).sum())
+    for order in (2, 1):
+        exponents = varying_exponents(points, order)
+        enough = len(exponents) + (varying > 1)
+        if len(distinct_points(points)) >= enough > 1 and not _undetermined(points, exponents, scheduling):
+            return order if varying == points.shape[1] else tuple(term_name(e, scheduling) for e in exponents)
+    return 0
+
+
+def order_words(order: int | Sequence[str]) -> str:
+    """Return an order as it is written in YAML: ``2``, or ``["1", "P", "P^2"]``."""
+    return str(order) if isinstance(order, int) else "[" + ", ".join(f'"{term}"' for term in order) + "]"
+
+
 def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCHEDULING) -> Exponents:
     """Return the powers of the scheduling variables of an order, or of terms by name.
 
@@ -112,34 +141,34 @@ def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[s
 
 def check_points(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> None:
     """Refuse operating points that do not determine the terms; see `orthonormal`."""
+    why_not = _undetermined(points, exponents, scheduling)
+    if why_not:
+        order = order_words(possible_order(points, scheduling))
+        raise DataError(f"{why_not}; add operating points, or choose a lower order, such as order: {order}")
+
+
+def _undetermined(points: FloatArray, exponents: Exponents, scheduling: Sequence[str]) -> str:
+    """Return why operating points do not determine the terms; an empty text when they do."""
     names = [term_name(e, scheduling) for e in exponents]
     distinct = distinct_points(points)
     if len(distinct) < len(exponents):
-        raise DataError(
-            f"{len(distinct)} operating points for {len(exponents)} terms ({', '.join(names)}); "
-            "add operating points or choose a lower order"
-        )
+        return f"{len(distinct)} operating points for {len(exponents)} terms ({', '.join(names)})"
     raw = monomials(distinct, exponents)
     size = np.linalg.norm(raw, axis=0)
     empty = [name for name, s in zip(names, size, strict=True) if s == 0]
     if empty:
-        raise DataError(
-            f"operating points: some terms are zero at all of them: {', '.join(empty)}; add points or leave these "
-            "terms out"
-        )
+        return f"operating points: some terms are zero at all of them: {', '.join(empty)}"
     _, s, vectors = np.linalg.svd(raw / size)
     dark = vectors[s < _DARK * s[0]]
-    if len(dark):
-        involved = np.abs(dark).max(axis=0)
-        together = ", ".join(name for name, v in zip(names, involved, strict=True) if v > 1e-3)
-        levels = "; ".join(
-            f"{len(np.unique(distinct[:, i]))} {what} ({', '.join(f'{v:g}' for v in np.unique(distinct[:, i])[:8])})"
-            for i, what in enumerate(_PLURAL.get(name, f"values of {name}") for name in scheduling)
-        )
-        raise DataError(
-            f"operating points do not determine {together} separately: there are {levels}; "
-            "add operating points or choose a lower order"
-        )
+    if not len(dark):
+        return ""
+    involved = np.abs(dark).max(axis=0)
+    together = ", ".join(name for name, v in zip(names, involved, strict=True) if v > 1e-3)
+    levels = "; ".join(
+        f"{len(np.unique(distinct[:, i]))} {what} ({', '.join(f'{v:g}' for v in np.unique(distinct[:, i])[:8])})"
+        for i, what in enumerate(_PLURAL.get(name, f"values of {name}") for name in scheduling)
+    )
+    return f"operating points do not determine {together} separately: there are {levels}"
 
 
 def distinct_points(points: FloatArray) -> FloatArray:

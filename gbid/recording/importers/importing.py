@@ -78,7 +78,7 @@ def import_recording(path: str | Path, mapping: ImportMapping | Mapping[str, Any
     for name, signal in mapping.signals.items():
         signals[name], units[name] = _signal(path, name, signal, columns)
         if clock.time is not None:
-            signals[name] = resampled(signals[name], units[name], clock.time)
+            signals[name] = resampled(signals[name], units[name], clock.time, clock.sample_time)
     remarks = {"import_remarks": "; ".join(clock.remarks)} if clock.remarks else {}
     try:
         return Recording(

@@ -95,7 +95,7 @@ def find_files(section: ImportSection, base: Path) -> FoundFiles:
     return FoundFiles(tuple(files), tuple(problems))
 
 
-def _by_count(name: str) -> list[tuple[int, str]]:
+def by_count(name: str) -> list[tuple[int, str]]:
     """Return a sort key that puts run2 before run10."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
@@ -129,7 +129,7 @@ def _by_pattern(section: FolderSection, folder: Path, skip: set[str]) -> Iterato
         return
     paths = folder.rglob("*") if "/" in section.pattern else folder.glob("*")
     endings = {ending for ending in file_formats() if ending not in _RESULTS or suffix in _RESULTS}
-    there = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=_by_count)
+    there = sorted((p.relative_to(folder).as_posix() for p in paths if p.suffix.lower() in endings), key=by_count)
     seen = [name for name in there if not any(fnmatchcase(name, p) for p in section.ignore or ()) and name not in skip]
     unmatched = []
     matched = 0

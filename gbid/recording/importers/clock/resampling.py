@@ -11,6 +11,7 @@ DEGREE = 9
 one the error is below 2e-5 of a sine of a fifth of the sampling rate, at a jitter of 10 % of the sample time."""
 FEW_LEVELS = 16
 """A signal with at most this number of distinct values is a command that is held; it keeps its values."""
+_BEYOND = 0.1  # largest extrapolation at the end, in sample times
 _TURN = 2 * np.pi
 
 
@@ -21,8 +22,8 @@ def jitter_ppm(time: FloatArray) -> float:
     return float(1e6 * np.std(time - slope * index - offset) / slope)
 
 
-def resampled(values: FloatArray, unit: str, time: FloatArray) -> FloatArray:
-    """Return signals at as many even times, from the first to the last time.
+def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: float) -> FloatArray:
+    """Return signals at even times, from the first to the last time.
 
     Parameters
     ----------
@@ -32,11 +33,13 @@ def resampled(values: FloatArray, unit: str, time: FloatArray) -> FloatArray:
         Their unit. An angle in rad is unwrapped for the interpolation and wrapped again.
     time : (n_samples,) array
         Times of the file [s], rising.
+    sample_time : float
+        Time between the even samples [s].
     """
     from scipy.interpolate import make_interp_spline  # imported here, because the import is slow
 
-    grid = np.linspace(time[0], time[-1], len(time))
-    out = np.empty(values.shape)
+    grid = time[0] + sample_time * np.arange(int((time[-1] - time[0]) / sample_time + _BEYOND) + 1)
+    out = np.empty((len(grid), values.shape[1]))
     nearest = np.clip(np.searchsorted((time[1:] + time[:-1]) / 2, grid), 0, len(time) - 1)
     degree = min(DEGREE, len(time) - 1)
     for k, column in enumerate(values.T):

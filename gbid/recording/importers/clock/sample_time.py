@@ -23,6 +23,7 @@ from gbid.recording.importers.mapping import ImportMapping
 
 MAX_DISAGREEMENT = 1e-3
 """Largest relative difference between sample_time_s, the time column and what the file states."""
+_ADJUSTED = 1e-4  # largest relative difference to a round sample time that interpolation corrects
 _LISTED = 6  # largest number of pieces that are listed
 
 
@@ -96,14 +97,24 @@ def read_clock(path: Path, mapping: ImportMapping, columns: dict[str, FileColumn
             f"{path}: sample_time_s = {mapping.sample_time:g} s, but time column {mapping.time!r} has steps of "
             f"{mean:g} s; correct or leave out one of them"
         )
-    sample_time = mean if mapping.sample_time is None else mapping.sample_time
-    if uneven <= MAX_JITTER:
+    jitters = uneven > MAX_JITTER
+    # What the times leave open: their rounding over the whole length, or nothing that interpolation does not correct.
+    open_share = _ADJUSTED if jitters else uneven / (len(time) - 1)
+    sample_time = _round_time(mean, open_share) if mapping.sample_time is None else mapping.sample_time
+    if not jitters:
         return Clock(taken.rows, sample_time, None, remarks)
     text = (
         f"time jitters by {jitter_ppm(time):.0f} ppm of the sample time (rms): signals interpolated to even times by "
         "band-limited interpolation"
     )
     return Clock(taken.rows, sample_time, time - time[0], (*remarks, text))
+
+
+def _round_time(mean: float, share: float) -> float:
+    """Return the nearest round sample time or rate within a relative distance, so that files of one logger agree."""
+    candidates = [float(f"{mean:.4g}"), 1 / float(f"{1 / mean:.4g}")]
+    nearest = min(candidates, key=lambda each: abs(each - mean))
+    return nearest if abs(nearest - mean) <= share * mean else mean
 
 
 def _chosen(

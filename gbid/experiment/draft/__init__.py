@@ -1,0 +1,1 @@
+"""Draft of an experiment for a gas bearing from a folder of measured files."""

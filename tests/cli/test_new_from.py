@@ -1,0 +1,135 @@
+"""`gbid new --from FOLDER`: an experiment drafted from measured files, by what they say and by what is given."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from experiment_files import gbid
+
+from gbid.cli import new
+from gbid.experiment.draft.channel_roles import find_roles
+from gbid.experiment.draft.name_reading import read_names
+from gbid.experiment.load import load_experiment
+from gbid.recording.importers.file_format import FileChannel
+
+N, DT = 900, 4e-4
+
+
+def write(path: Path, moving: bool, rpm: float = 4000.0, names="t [s];r_x;r_y;u_x;u_y;p_x;p_y;phi [deg]", still_s=0.0):
+    random = np.random.default_rng(len(path.name))
+    t = DT * np.arange(N)
+    r = np.repeat(random.choice([-4.0, 4.0], (N // 10, 2)), 10, axis=0) * moving
+    turning = np.clip((t - still_s) / max(still_s, DT), 0, 1)
+    phi = np.mod(np.cumsum(6 * rpm * DT * turning), 360)
+    runout = np.column_stack([2 * np.cos(np.deg2rad(phi)), np.sin(np.deg2rad(3 * phi))])
+    p = runout + 0.02 * random.standard_normal((N, 2)) + 0.5 * r
+    columns = np.column_stack([t, r, 0.9 * r + 0.01 * random.standard_normal((N, 2)), p, phi])
+    path.parent.mkdir(exist_ok=True)
+    np.savetxt(path, columns[:, : names.count(";") + 1], "%.7g", ";", header=names, comments="", encoding="cp1252")
+
+
+@pytest.fixture
+def measured(tmp_path):
+    for pressure in (5, 6, 7):
+        for word, moving in (("ruhe", False), ("rauschen", True)):
+            names = "t [s];r_x [µm];r_y [µm];u_x [µm];u_y [µm];p_x [µm];p_y [µm];phi [deg]"
+            write(tmp_path / "runs" / f"P{pressure}_N4000_{word}1.csv", moving, names=names)
+    (tmp_path / "runs" / "notes.md").write_text("one speed")
+    return tmp_path / "runs"
+
+
+def test_one_speed_is_drafted_and_can_be_checked(measured, tmp_path, capsys):
+    assert gbid("new", tmp_path / "own", "--from", measured, "--controller", "biquad") == 0
+    said = capsys.readouterr()
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    assert 'pattern: "P{pressure_bar:g}_N{speed_rpm:d}_{kind}1.csv"' in text
+    assert 'kinds: {"rauschen": excited, "ruhe": stationary}' in text
+    assert 'order: ["1", "P", "P^2"]' in text
+    assert "harmonics: 3" in text
+    assert "structure: biquad" in text
+    assert "sample_time_s: 0.0004}" in text
+    assert "3 harmonics leave" in said.err
+    assert "of a kind that is not imported: notes.md" in said.err
+    assert f"next: gbid check {tmp_path / 'own' / 'experiment.yaml'}" in said.err
+    experiment = load_experiment(tmp_path / "own" / "experiment.yaml")
+    assert [(q.point, q.excited) for q in experiment.recordings.values()] == [
+        (f"p{p}_n4000", moving) for p in (5, 6, 7) for moving in (True, False)
+    ]
+
+
+def test_a_run_up_is_cut_away_and_one_point_has_order_0(tmp_path, capsys):
+    full = "t [s];r_x;r_y;u_x [um];u_y [um];p_x [um];p_y [um];phi [deg]"
+    write(
+        tmp_path / "a" / "5,5 bar 4000 rpm PRBS 1.csv",
+        True,
+        names=full.replace("r_x", "r_x [um]").replace("r_y", "r_y [um]"),
+        still_s=0.05,
+    )
+    assert gbid("new", tmp_path / "own", "--from", tmp_path / "a") == 0
+    text = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    assert "from_s: 0.2" in text
+    assert "method: none" in text
+    assert "order: 0" in text
+    assert "name: 5_5_bar_4000_rpm_PRBS_1" in text  # the name has a decimal comma, so that there is no pattern
+    assert "conditions: {pressure_bar: 5.5, speed_rpm: 4000.0}" in text
+    load_experiment(tmp_path / "own" / "experiment.yaml")
+
+
+def test_what_files_do_not_say_is_given_or_asked(tmp_path, capsys, monkeypatch):
+    write(tmp_path / "a" / "run1.csv", True, names="clock;c1;c2;c3;c4;c5;c6;angle [deg]")
+    flags: list[str] = []
+    for option, more in (
+        ("--signal u=X,Y", ["--signal", "u=c3,c4"]),
+        ("--signal p=X,Y", ["--signal", "p=c5,c6", "--signal", "r=c1,c2"]),
+        ("--unit", ["--unit", "um"]),
+        ("--pressure", ["--pressure", "5"]),
+        ("--speed", ["--speed", "4000"]),
+    ):
+        assert gbid("new", tmp_path / "own", "--from", tmp_path / "a", *flags) == 2
+        assert option in capsys.readouterr().err
+        flags += more
+    assert gbid("new", tmp_path / "own", "--from", tmp_path / "a", *flags) == 0
+    given = (tmp_path / "own" / "experiment.yaml").read_text(encoding="utf-8")
+    answers = iter(["c3,c4", "c5, c6", "um", "5", "4000"])
+    monkeypatch.setattr(new.sys.stdin, "isatty", lambda: True, raising=False)
+    monkeypatch.setattr(new.typer, "prompt", lambda *_, **__: next(answers))
+    assert gbid("new", tmp_path / "asked", "--from", tmp_path / "a", "--signal", "r=c1,c2") == 0
+    asked = (tmp_path / "asked" / "experiment.yaml").read_text(encoding="utf-8")
+    assert asked == given.replace("name: own", "name: asked")
+    assert gbid("new", tmp_path / "third", "--from", tmp_path / "a", "--signal", "u=c1") == 2
+    assert "expected r, u or p with two columns" in capsys.readouterr().err
+    assert gbid("new", tmp_path / "third", "--from", tmp_path / "none") == 2
+    assert "no folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("names", "roles"),
+    [
+        ("Zeit;Soll x;Soll y;Piezo x;Piezo y;Weg x;Weg y;Drehwinkel", {"r": "Soll", "u": "Piezo", "p": "Weg"}),
+        ("t;rx;ry;ux;uy;px;py;phi", {"r": "r", "u": "u", "p": "p"}),
+        ("time;data.r[0];data.r[1];data.u[0];data.u[1];y;x;encoder", {"r": "data.r", "u": "data.u", "p": ""}),
+    ],
+)
+def test_roles_of_channels(names, roles):
+    columns = names.split(";")
+    channels = [FileChannel(name, N, step=DT if i == 0 else None) for i, name in enumerate(columns)]
+    found = find_roles(channels, {}, None, "a.csv")
+    assert found.time == columns[0]
+    assert found.signals["phi"] == (columns[-1],)
+    for role, stem in roles.items():
+        pair = found.signals[role]
+        assert sorted(pair) == list(pair)
+        assert all(column.startswith(stem) for column in pair)
+
+
+def test_names_of_several_forms_have_no_pattern():
+    assert (
+        read_names(["p5_n0_a1.csv", "p6_n4000_b2.csv"]).pattern.text
+        == "p{pressure_bar:g}_n{speed_rpm:d}_{kind}{nr:d}.csv"
+    )
+    assert (
+        read_names(["5.5 bar, 0 rpm.csv", "6 bar, 0 rpm.csv"]).pattern.text
+        == "{pressure_bar:g} bar, {speed_rpm:d} rpm.csv"
+    )
+    assert read_names(["p5.csv", "q_5.csv"]) is None
+    assert read_names(["p5,5.csv", "p6.csv"]).read("p5,5.csv") == {"pressure_bar": 5.5}
