@@ -101,8 +101,8 @@ def fit_lpv(
         coefficients is model-based for the first and a robust estimate from the residuals (HC3) for the others.
     order : int, "auto" or sequence of str
         Order of the polynomials: 0 to 2 for a gas bearing, 0 to 3 with `structure`. ``"auto"`` chooses it up to 2 by
-        cross-validation over operating points, without terms in a variable that does not vary. A sequence names terms: those of `gbid.lpv.TERMS`, or with `structure`
-        names such as ``"1", "gap", "gap^2", "gap current"``.
+        cross-validation over operating points, without terms in a variable that does not vary. A sequence names terms:
+        those of `gbid.lpv.TERMS`, or with `structure` names such as ``"1", "gap", "gap^2", "gap current"``.
     robust : bool
         Whether estimates far from a surface get less weight (Huber).
     actuators : dict of str to float, optional
