@@ -103,7 +103,7 @@ def read_yaml(path: Path) -> YamlFile:
 
 
 def _check_size(path: Path, tree: Any, length: int) -> None:
-    """Refuse a tree in itself, and aliases of aliases that make a huge tree from a short text."""
+    """Refuse a tree in itself, aliases of aliases that make a huge tree from a short text, and keys that are lists."""
     sizes: dict[int, int] = {}
 
     def size(node: Any, depth: int) -> int:
@@ -113,6 +113,8 @@ def _check_size(path: Path, tree: Any, length: int) -> None:
             raise UsageError(f"{path}: values are nested more than {_DEEPEST} deep, or in themselves; write them flat")
         if id(node) not in sizes:
             sizes[id(node)] = 0
+            if isinstance(node, dict) and any(isinstance(key, dict | list | tuple | set) for key in node):
+                raise UsageError(f"{path}: a key is a list or a mapping; give names as keys")
             inside = [*node, *node.values()] if isinstance(node, dict) else node
             sizes[id(node)] = 1 + sum(size(each, depth + 1) for each in inside)
         return sizes[id(node)]

@@ -72,7 +72,9 @@ def read_dataset(group: h5py.Group, name: str, texts: bool = False) -> npt.NDArr
         raise DamagedError(f"{where(group, name)} is missing") from None
     if not isinstance(found, h5py.Dataset):
         raise DamagedError(f"{where(group, name)} is a group, not a dataset")
-    if found.shape is not None and found.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
+    if found.shape is None:
+        raise DamagedError(f"{where(group, name)} holds nothing, not {'texts' if texts else 'numbers'}")
+    if found.nbytes > _ROOM + _EXPANSION * group.file.id.get_filesize():
         raise DamagedError(f"{where(group, name)} declares more values than the file can contain")
     if texts != (h5py.check_string_dtype(found.dtype) is not None) or (not texts and found.dtype.kind not in "fiub"):
         raise DamagedError(f"{where(group, name)} holds {found.dtype}, not {'texts' if texts else 'numbers'}")

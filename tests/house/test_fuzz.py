@@ -24,7 +24,7 @@ def test_good_files_are_read(folder):
         assert try_input(target, target.content, folder).outcome == "accepted, equal", target.name
 
 
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=300, deadline=None)
 @given(name=st.sampled_from(sorted(TARGETS)), random=st.randoms(use_true_random=False))
 def test_mutated_files(folder, name, random):
     target = TARGETS[name]

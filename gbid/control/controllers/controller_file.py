@@ -26,6 +26,7 @@ from gbid.control.controllers.scheduled import Scheduled, scheduled, with_schedu
 from gbid.control.controllers.structures import channels_of, controller_structure
 from gbid.control.loop.sampling import Method
 from gbid.errors import UsageError
+from gbid.files.library_errors import in_one_line
 from gbid.lpv import Domain
 from gbid.naming.paths import given_path
 from gbid.structure import LinearModel
@@ -238,7 +239,13 @@ def _structure(table: ControllerFile, given: Structure | Scheduled | None) -> St
     if given is not None:
         raise UsageError(f"its structure is the built-in {table.structure.kind!r}; leave structure= out")
     options = {k: tuple(v) if isinstance(v, list) else v for k, v in table.structure.options.items()}
-    base = controller_structure(table.structure.kind, **options)
+    try:
+        base = controller_structure(table.structure.kind, **options)
+    except (TypeError, ValueError, ArithmeticError) as error:  # an option of another type
+        if isinstance(error, UsageError):
+            raise
+        words = f"the options of its structure {table.structure.kind!r} do not fit: {in_one_line(error)}"
+        raise UsageError(f"{words}; write them as save_controller does") from None
     if table.schedule is None:
         return base
     schedule = table.schedule

@@ -22,10 +22,12 @@ from typing import Any
 import gbid
 from fuzzing.outcome import FAULTS, HANG, InputOutcome, TriedInput, choose, try_input
 from fuzzing.targets import FuzzTarget, fuzz_targets
+from fuzzing.zip_mutations import npz_bomb
 
 _FORK = multiprocessing.get_context("fork")
 _GRACE = 5.0  # beyond the time of one input, before its process is ended
 _ADDRESSES = 4 << 30  # most memory of a process of ours, beyond which python raises MemoryError
+_AT_ONCE = 50  # inputs that a process is asked for
 _KEPT = 200  # most faults that are written
 
 
@@ -56,6 +58,7 @@ def main() -> int:
             if given.output:
                 given.output.write_bytes(content)
         return 0
+    npz_bomb()  # once, for all workers
     seed = int(time.time()) if given.seed is None else given.seed
     until = time.monotonic() + 60 * (given.minutes if given.minutes is not None else 1e9 if given.count else 60)
     run = FuzzRun(targets, seed, given.count or sys.maxsize, until, given.jobs)
@@ -80,7 +83,7 @@ class FuzzRun:
 
     def go(self) -> None:
         """Run until the count or the time is reached."""
-        workers = [self._start() for _ in range(self._jobs)]
+        workers = [FuzzWorker(self._targets, self._seed, self._take()) for _ in range(self._jobs)]
         said = time.monotonic()
         while workers:
             wait([worker.pipe for worker in workers], timeout=1.0)
@@ -88,10 +91,10 @@ class FuzzRun:
                 if worker.pipe.poll():
                     self._receive(worker)
                 if worker.ended or time.monotonic() - worker.since > HANG + _GRACE or not worker.process.is_alive():
-                    self._end(worker)
+                    rest = self._end(worker)
                     workers.remove(worker)
-                    if self._more():
-                        workers.append(self._start())
+                    if rest or self._more():
+                        workers.append(FuzzWorker(self._targets, self._seed, rest or self._take()))
             if time.monotonic() - said > 30:
                 said = time.monotonic()
                 total: Counter[str] = sum(self._counts.values(), Counter())
@@ -121,32 +124,33 @@ class FuzzRun:
     def _more(self) -> bool:
         return self._next < self._count and time.monotonic() < self._until
 
-    def _start(self) -> FuzzWorker:
-        return FuzzWorker(self._targets, self._seed, self._take())
-
-    def _take(self) -> int | None:
+    def _take(self) -> list[int]:
         if not self._more():
-            return None
-        self._next += 1
-        return self._next - 1
+            return []
+        first, self._next = self._next, min(self._next + _AT_ONCE, self._count)
+        return list(range(first, self._next))
 
     def _receive(self, worker: FuzzWorker) -> None:
-        try:
-            tried = worker.pipe.recv()
-        except (EOFError, OSError):
-            worker.ended = True
-            return
-        self._note(worker.number, tried)
-        worker.ask(self._take())
+        while worker.pipe.poll() and not worker.ended:
+            try:
+                tried = worker.pipe.recv()
+            except (EOFError, OSError):
+                worker.ended = True
+                return
+            worker.since = time.monotonic()
+            self._note(worker.numbers.pop(0), tried)
+            if not worker.numbers:
+                worker.ask(self._take())
 
-    def _end(self, worker: FuzzWorker) -> None:
+    def _end(self, worker: FuzzWorker) -> list[int]:
         worker.process.kill()
         worker.process.join()
-        if worker.number is not None:
+        if worker.numbers:
             late = time.monotonic() - worker.since > HANG
             outcome = InputOutcome.HANG if late else InputOutcome.TRACEBACK
             words = f"the process ended with code {worker.process.exitcode}"
-            self._note(worker.number, TriedInput(outcome, time.monotonic() - worker.since, 0, words))
+            self._note(worker.numbers[0], TriedInput(outcome, time.monotonic() - worker.since, 0, words))
+        return worker.numbers[1:]
 
     def _note(self, number: int, tried: TriedInput) -> None:
         name = choose(self._targets, Random(f"{self._seed}/{number}")).name
@@ -162,19 +166,18 @@ class FuzzRun:
 class FuzzWorker:
     """Process that reads the inputs that it is asked for."""
 
-    def __init__(self, targets: list[FuzzTarget], seed: int, number: int | None) -> None:
+    def __init__(self, targets: list[FuzzTarget], seed: int, numbers: list[int]) -> None:
         self.pipe, theirs = _FORK.Pipe()
         self.process = _FORK.Process(target=_work, args=(theirs, targets, seed), daemon=False)
         self.process.start()
         theirs.close()
-        self.ended = False
-        self.ask(number)
+        self.ask(numbers)
 
-    def ask(self, number: int | None) -> None:
-        """Hand over the number of an input; None ends the process."""
-        self.number, self.since = number, time.monotonic()
-        self.ended = number is None
-        self.pipe.send(number)
+    def ask(self, numbers: list[int]) -> None:
+        """Hand over the numbers of inputs; none of them end the process."""
+        self.numbers, self.since = numbers, time.monotonic()
+        self.ended = not numbers
+        self.pipe.send(numbers)
 
 
 def _work(pipe: Connection, targets: list[FuzzTarget], seed: int) -> None:
@@ -184,9 +187,10 @@ def _work(pipe: Connection, targets: list[FuzzTarget], seed: int) -> None:
     resource.setrlimit(resource.RLIMIT_AS, (now + _ADDRESSES, resource.RLIM_INFINITY))
     os.chdir("/")
     with tempfile.TemporaryDirectory() as folder:
-        while (number := pipe.recv()) is not None:
-            target, content = made_input(targets, seed, number)
-            pipe.send(try_input(target, content, Path(folder)))
+        while numbers := pipe.recv():
+            for number in numbers:
+                target, content = made_input(targets, seed, number)
+                pipe.send(try_input(target, content, Path(folder)))
 
 
 if __name__ == "__main__":

@@ -235,9 +235,9 @@ def _warned(load: Callable[[Path], Any]) -> Callable[[Path], tuple[Any, tuple[st
 
 def _read_text(path: Path) -> tuple[Any, tuple[str, ...]]:
     content = path.read_bytes()
-    return content.removeprefix(b"\xef\xbb\xbf").replace(b"\r\n", b"\n").rstrip(), ("changed",) if is_changed(
-        content
-    ) else ()
+    lines = content.decode("utf-8-sig", "replace").replace("\r\n", "\n").rstrip().split("\n")
+    rows = [line for line in lines if not line.startswith("#")]
+    return rows, ("changed",) if is_changed(content) else ()
 
 
 def _read_experiment(path: Path) -> Any:

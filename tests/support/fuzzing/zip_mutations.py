@@ -29,7 +29,7 @@ def mutate_npz(random: Random, content: bytes) -> bytes:
     if random.randrange(3) == 0:
         return mutate_bytes(random, content)
     if random.randrange(40) == 0:
-        return _bomb()
+        return npz_bomb()
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = {name: archive.read(name) for name in archive.namelist()}
     name = random.choice(sorted(members))
@@ -67,7 +67,8 @@ def _header(random: Random, member: bytes) -> bytes:
 
 
 @cache
-def _bomb() -> bytes:
+def npz_bomb() -> bytes:
+    """Return a small archive of an array of 2 GiB."""
     count = 1 << 28  # 2 GiB of zeros
     head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': ({count},), }}".ljust(117) + "\n"
     packed = io.BytesIO()
