@@ -322,7 +322,7 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
     shown = call("tune", path)
     assert "with probability 0.8: " in shown.stdout
     picture = plot_robustness_price({"sure": load_tuned(sure["path"])})
-    assert next(line.get_label() for line in picture.axes[0].lines) == "sure"
+    assert next(line.get_label() for line in picture.lines) == "sure"
     bare = write_quick(tmp_path / "bare", (", actuators: theisen2016", ""), text=SURFACES)
     assert "add lpv: actuators" in call("check", bare).output
 

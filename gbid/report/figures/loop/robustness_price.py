@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
-
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.errors import DataError
 from gbid.report.figures.canvas import panels, series, styled
@@ -17,7 +15,7 @@ if TYPE_CHECKING:
 
 
 @styled
-def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = None) -> Figure:
+def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = None) -> Axes:
     """Draw the promised objective of robust designs over the probability, beside that of the nominal design.
 
     Parameters
@@ -29,8 +27,8 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
 
     Returns
     -------
-    matplotlib.figure.Figure
-        The figure.
+    matplotlib Axes
+        The axes; ``axes.figure`` is the figure.
 
     Raises
     ------
@@ -40,7 +38,7 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     robust = {name: design for name, design in designs.items() if design.promises}
     if not robust:
         raise DataError("no design is robust; write robust: {probability: 0.95, price: [0.5, 0.8]} in its section")
-    figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    _, (panel, *_) = panels(ax, size=(4.6, 3.1))
     for k, (name, design) in enumerate(robust.items()):
         look = series(k)
         at = [p.probability for p in design.promises]
@@ -53,7 +51,7 @@ def plot_robustness_price(designs: Mapping[str, TunedDesign], ax: Axes | None = 
     panel.set_xlabel("probability [-]")
     panel.set_ylabel(unit.get(objectives.pop(), "promised objective") if len(objectives) == 1 else "promised objective")
     panel.legend(loc="best")
-    return figure
+    return panel
 
 
 FIGURES = (
