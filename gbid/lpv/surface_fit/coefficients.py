@@ -2,14 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.extras import data_frame
 
 TRIES = 20
 """Largest number of draws for each requested model."""
+
+
+def coefficient_frame(
+    parameters: Sequence[str], terms: Sequence[str], coefficients: FloatArray, covariance: FloatArray
+) -> Any:
+    """Return coefficients as a pandas.DataFrame: a row for each parameter, for each term a column and one of its std.
+
+    Raises
+    ------
+    UsageError
+        When pandas is not installed.
+    """
+    std = np.sqrt(np.diag(covariance)).reshape(coefficients.shape)
+    columns: dict[str, Any] = {"parameter": list(parameters)}
+    for j, term in enumerate(terms):
+        columns |= {term: coefficients[:, j], f"{term} std": std[:, j]}
+    return data_frame(columns, index="parameter")
 
 
 def covariance_at(terms: FloatArray, covariance: FloatArray, scatter: FloatArray | None = None) -> FloatArray:

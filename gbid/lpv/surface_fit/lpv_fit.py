@@ -14,10 +14,10 @@ from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify import FitStatus
-from gbid.lpv.basis import regressors
+from gbid.lpv.basis import TERMS, regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
 from gbid.lpv.model import LPVModel
-from gbid.lpv.surface_fit.coefficients import TRIES, covariance_at, draws
+from gbid.lpv.surface_fit.coefficients import TRIES, coefficient_frame, covariance_at, draws
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
@@ -86,6 +86,20 @@ class LPVFit(Brief):
     def coefficients(self) -> FloatArray:
         """Coefficients of the model as one array, (14, 6), in the units of the model."""
         return np.array([self.model.coefficients[key] for key in KEY_PARAMETERS])
+
+    def to_frame(self) -> Any:
+        """Return the coefficients as a data frame: a row for each parameter, columns for each term and its std.
+
+        Returns
+        -------
+        pandas.DataFrame
+
+        Raises
+        ------
+        UsageError
+            When pandas is not installed.
+        """
+        return coefficient_frame(KEY_PARAMETERS, TERMS, self.coefficients, self.covariance)
 
     @property
     def surface(self) -> FloatArray:
