@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: run paper test lint types imports unit test-slow bench docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow mutants bench docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -45,8 +45,25 @@ imports: $(VENV)/.installed-test  ## the layers of the house plan
 unit: $(VENV)/.installed-test  ## the tests, warnings as errors
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
+# The heart: a recording, its fit, surfaces, gains, and one experiment through the command line.
+QUICK := tests/house tests/recording/test_recording.py tests/recording/test_recording_store.py tests/identify/test_fit.py \
+	tests/identify/test_predictor.py tests/lpv/test_lpv.py tests/lpv/test_outliers_and_terms.py tests/control/test_close_loop.py \
+	tests/lpv/test_lpv_fit.py::test_data_without_errors_give_the_table_of_the_paper_back \
+	tests/control/test_tune.py::test_the_papers_design_is_found_again \
+	tests/cli/test_cli.py::test_run_prints_data_on_stdout_and_progress_on_stderr
+LEFT_TO_TEST := $(foreach name,docs benchmarks packaging old_files,--ignore=tests/house/test_$(name).py)
+
+test-quick: $(VENV)/.installed-test  ## style, layers, and the tests of the heart, in less than a minute
+	$(BIN)/ruff check .
+	$(BIN)/lint-imports
+	$(BIN)/pytest -q -n $(JOBS) --dist worksteal $(LEFT_TO_TEST) $(QUICK)
+
 test-slow: $(VENV)/.installed-test  ## the long studies
 	$(BIN)/pytest -m slow -s
+
+mutants: $(VENV)/.installed-test  ## how many small faults of the source the tests notice; takes an hour
+	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
+	$(BIN)/python -m benchmarks.mutants --jobs $(JOBS)
 
 # A fit that did not converge (exit code 4) is left out of what follows and named there.
 PAPER := experiments/theisen2016.yaml

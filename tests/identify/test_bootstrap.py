@@ -99,7 +99,7 @@ def test_for_a_mean_of_few_white_errors_it_is_students_quantile():
     white = ErrorModel(np.zeros((0, 1, 1)), np.eye(1))
     root = np.array([[1 / np.sqrt(n)]])
     estimator = Estimator(np.eye(1), root, root, np.zeros((1, 1)), np.zeros(1, bool))
-    (factor,) = bootstrap_factors([transformed(record, np.array([0]))], [white], estimator, Bootstrap(8000, 1))
+    (factor,) = bootstrap_factors([transformed(record, np.array([0]))], [white], estimator, Bootstrap(3000, 1))
     # Residuals lack a degree of freedom, of which the expected part is given back.
     assert factor == pytest.approx(student.ppf(0.975, n - 1) / 1.96, rel=0.03)
 

@@ -186,7 +186,7 @@ def test_coefficients_are_checked(model: LPVModel) -> None:
             replace(model, coefficients={**model.coefficients, "d_xy": row})
     with pytest.raises(UsageError, match="k_zz unknown; there are k_xx"):
         replace(model, coefficients={**model.coefficients, "k_zz": (0.0,) * 6})
-    with pytest.raises(UsageError, match="p1_y = -1; give a finite number, poles positive"):
+    with pytest.raises(UsageError, match=r"p1_y = -1\.0; give a finite number, poles positive"):
         replace(model, actuators={**model.actuators, "p1_y": -1.0})
 
 

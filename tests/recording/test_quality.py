@@ -170,6 +170,7 @@ def test_gain_and_coherence_of_an_answer_that_is_known():
     np.testing.assert_allclose(still.gain, [[np.nan, 0.3], [np.nan, 1.0]], rtol=1e-6)
     assert _response(np.zeros((20_000, 2)), outputs) is None
     assert _response(inputs[:499], outputs[:499]) is None
+    assert _response(inputs[:500], outputs[:500]) is not None
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 import gbid
 from gbid import report
 from gbid.cli.main import app
+from gbid.control import close_loop
 from gbid.control.impact.measured import MeasuredImpact
 from gbid.control.impact.study import ImpactStudy
 from gbid.control.impact.validation import ImpactValidation
@@ -27,9 +28,10 @@ from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.report.figures.named import named_figures
 from gbid.report.paper import paper_files, paper_tables
 from gbid.report.paper.numbers import PaperNumber, paper_numbers
-from gbid.report.paper.reproduction import _values, judged, reproduction
+from gbid.report.paper.reproduction import _values, counts, judged, reproduction
 from gbid.report.paper.reproduction_tables import reproduction_markdown
 from gbid.report.reader import Results
+from gbid.report.reader.published import published_controller
 from gbid.share import share_folder
 from gbid.structure import KEY_PARAMETERS
 from gbid.tables.csv import csv_text
@@ -98,22 +100,49 @@ def test_a_deviation_is_ours_minus_the_papers():
     assert judged(PaperNumber("a", "", "", "", -4.0, 1.0), -5.0).document()["deviation_percent"] == 25.0
 
 
+def test_rows_are_counted_by_verdict():
+    number = PaperNumber("a", "", "", "", 8.0, 1.0)
+    rows = [judged(number, value) for value in (8.0, 8.5, 8.9, 12.0, 1.0, math.nan)]
+    assert counts(rows) == {"within": 3, "explained": 0, "off": 2, "missing": 1}
+
+
 def test_values_of_ours_from_surfaces_and_impacts():
     paper, own = machine(), dict(_values())
     tau = paper.coefficients["tau_x"]
     moved = replace(paper, coefficients={**paper.coefficients, "tau_x": (tau[0] + 2e-4, *tau[1:])})
     sizes = (("g_xx", 0.1), ("g_yx", 0.3), ("omega_1", 5.0))
     surfaces = SimpleNamespace(model=moved, deviations=[SimpleNamespace(name=n, largest=v) for n, v in sizes])
+    ring = SimpleNamespace(
+        frequency_hz=(99.0, 119.0), frequency_std=(0.9, 1.9), damping=(0.11, 0.22), damping_std=(1, 2)
+    )
     impacts = {
-        "open": SimpleNamespace(expected=((100.0, 0.1), (120.0, 0.2))),
+        "open": SimpleNamespace(expected=((100.0, 0.1), (120.0, 0.2)), ringdown=ring),
         "closed": SimpleNamespace(expected=((101.0, 0.3), (121.0, 0.5))),
     }
-    results = SimpleNamespace(machine=paper, surface_fit=surfaces, impacts_at=lambda with_piezos: impacts)
+    results = SimpleNamespace(
+        machine=paper,
+        surface_fit=surfaces,
+        impacts_at=lambda with_piezos: impacts,
+        summary={"rotor_bearing": SimpleNamespace(mean=(81.0, 82.0), std=(3.0, 4.0))}.__getitem__,
+    )
     assert own["surface_tau_x"](results)[0] == pytest.approx(2e-4)
     assert [own[f"surface_{name}"](results)[0] for name in ("tau_y", "omega_1")] == pytest.approx([0, 0], abs=1e-9)
     assert own["largest_gain"](results)[0] == 0.3
     assert [own[f"damping_factor_{i}"](results)[0] for i in (1, 2)] == pytest.approx([3.0, 2.5])
     assert own["expected_closed_frequency_2"](results)[0] == 121.0
+    assert own["obtained_open_frequency_2"](results) == (119.0, 1.9)
+    assert own["obtained_open_damping_1"](results) == (0.11, 1.0)
+    assert [own[f"bearing_{what}"](results)[0] for what in ("mean_x", "mean_y", "std_y")] == [81.0, 82.0, 4.0]
+
+
+def test_values_of_ours_from_the_published_model():
+    paper, own = machine(), dict(_values())
+    results, plant = SimpleNamespace(machine=paper), paper.plant_at(6.0, 0.0)
+    free, damped = plant.modes(), close_loop(plant, published_controller(paper)).modes()
+    for i in (1, 2):
+        assert own[f"model_open_frequency_{i}"](results)[0] == pytest.approx(free[i - 1][0])
+        assert own[f"model_closed_damping_{i}"](results)[0] == pytest.approx(damped[i - 1][1])
+        assert own[f"model_damping_factor_{i}"](results)[0] == pytest.approx(damped[i - 1][1] / free[i - 1][1])
 
 
 def test_broken_list_of_figures_is_refused(tmp_path):

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from gbid.lpv.characteristics import PUBLISHED_RMS
 from gbid.rig import RotorBearingTruth, Scatter, scattered
 
 TRUTH = RotorBearingTruth(
@@ -50,6 +51,12 @@ def test_each_number_moves_its_own_quantity_by_half_its_deviation() -> None:
     np.testing.assert_allclose(modes(found)[1], damping + np.array([0.003, -0.008]), rtol=1e-9)
     np.testing.assert_allclose(found.delay, TRUTH.delay + np.array([0.5e-4, -2e-4]), rtol=1e-12)
     np.testing.assert_allclose(gain(found), gain(TRUTH) + np.array([[0.005, -0.01], [0.0075, 0.04]]), rtol=1e-9)
+
+
+def test_the_scatter_is_that_of_the_papers_recordings() -> None:
+    paper = Scatter()
+    stated = (*paper.delay, *paper.frequency_hz, *paper.damping, *paper.static_gain)
+    assert stated == tuple(PUBLISHED_RMS.values())
 
 
 def test_mode_shapes_are_kept() -> None:

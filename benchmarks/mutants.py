@@ -1,0 +1,252 @@
+"""Mutation study: how many of a sample of small faults do the tests notice? ``make mutants`` runs it.
+
+First the tests run once with coverage, which tells the tests that touch each line, and how long each takes. Then each
+fault of the sample goes into a copy of the source, and the tests that touch its line run, the quickest first, until one
+fails or the budget is spent. What survives is judged by hand: "equivalent" in docs/mutants.json, with the reason, is a
+fault that changes no behaviour. Stored judgements are kept for the faults that are met again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import multiprocessing
+import os
+import random
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from benchmarks.mutations import Mutant, is_another_program, mutants
+
+ROOT = Path(__file__).parents[1]
+STORED = ROOT / "docs" / "mutants.json"
+PACKAGES = ("identify", "lpv", "control", "prefilter", "validate")
+LIBRARIES = (
+    "numpy",
+    "scipy.signal",
+    "scipy.optimize",
+    "scipy.stats",
+    "casadi",
+    "h5py",
+    "pydantic",
+    "matplotlib.pyplot",
+)
+"""Loaded before the forks; none of them is a plugin of pytest, which would load it itself."""
+NOTICED = (int(pytest.ExitCode.TESTS_FAILED), int(pytest.ExitCode.INTERRUPTED))  # the latter: it cannot be imported
+NEEDED = ("gbid", "tests", "models", "experiments", "benchmarks", "docs", "pyproject.toml", "Makefile", "README.md")
+
+
+class Durations:
+    """A pytest plugin: time of each test, with its set-up, by node id [s]."""
+
+    def __init__(self) -> None:
+        self.of: defaultdict[str, float] = defaultdict(float)
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Add what a phase of a test took; infinite for a test that fails without a mutant."""
+        self.of[report.nodeid] += float("inf") if report.failed else report.duration
+
+
+def measure(work: Path, jobs: int, packages: Sequence[str]) -> None:
+    """Run the tests of the packages once, and store which lines each touches and how long each takes in a folder."""
+    os.environ["COVERAGE_FILE"] = str(work / ".coverage")
+    durations = Durations()
+    options = ["--cov=gbid", "--cov-context=test", "--cov-report=", "-q", "-n", str(jobs), "--dist", "worksteal"]
+    pytest.main([*options, *(f"tests/{package}" for package in packages)], plugins=[durations])
+    for test in [test for test, took in durations.of.items() if took == float("inf")]:
+        print(f"left out, because it fails without a mutant: {test}", file=sys.stderr)
+        del durations.of[test]
+    (work / "durations.json").write_text(json.dumps(durations.of), encoding="utf-8")
+
+
+class Touching:
+    """The tests that touch a line, from what `measure` stored."""
+
+    def __init__(self, work: Path, budget: float) -> None:
+        coverage = importlib.import_module("coverage")
+        self.data = coverage.CoverageData(str(work / ".coverage"))
+        self.data.read()
+        self.files = {"gbid/" + f.rsplit("/gbid/", 1)[1]: f for f in self.data.measured_files()}
+        self.durations: dict[str, float] = json.loads((work / "durations.json").read_text(encoding="utf-8"))
+        self.budget = budget
+
+    def tests(self, mutant: Mutant) -> list[str]:
+        """Return the tests that touch a mutant's lines, then those that touch its file, quickest first."""
+        if mutant.file not in self.files:
+            return []
+        contexts = self.data.contexts_by_lineno(self.files[mutant.file])
+        own = range(mutant.line, mutant.line + mutant.old.count("\n") + 1)
+        at_line = self._named(context for line in own for context in contexts.get(line, ()))
+        anywhere = self._named(context for found in contexts.values() for context in found)
+        chosen, spent = [], 0.0
+        for test in (*at_line, *(test for test in anywhere if test not in set(at_line))):
+            if (spent := spent + self.durations[test]) > self.budget and chosen:
+                break
+            chosen.append(test)
+        return chosen
+
+    def _named(self, contexts: Iterable[str]) -> list[str]:
+        tests = {context.rpartition("|")[0] for context in contexts} & self.durations.keys()
+        return sorted(tests, key=self.durations.__getitem__)
+
+
+def try_one(trees: Path, task: tuple[Mutant, list[str]]) -> dict[str, Any]:
+    """Return what became of a mutant: "killed", "survived", "timeout", or "untested" where no test touches it."""
+    mutant, tests = task
+    found: dict[str, Any] = {**mutant.as_dict(), "tests": len(tests)}
+    if not tests:
+        return {**found, "outcome": "untested"}
+    tree = trees / str(os.getpid())
+    if not tree.exists():
+        for name in NEEDED:
+            (shutil.copytree if (ROOT / name).is_dir() else shutil.copy)(ROOT / name, _made(tree) / name)
+    file = tree / mutant.file
+    text = file.read_text(encoding="utf-8")
+    file.write_text(mutant.apply(text), encoding="utf-8")
+    os.utime(file, (at := time.time_ns() // 10**9 + mutant.start, at))  # not taken for what is compiled already
+    (tree / "selected.txt").write_text("\n".join(tests), encoding="utf-8")
+    began = time.monotonic()
+    try:
+        code = _in_a_fork(tree)
+    finally:
+        file.write_text(text, encoding="utf-8")
+    if code is not None and code > 0 and code not in NOTICED:
+        said = (tree / "log.txt").read_text(encoding="utf-8", errors="replace")
+        raise RuntimeError(f"pytest ended with {code} on {mutant}:\n{said[-3000:]}")
+    outcome = "survived" if code == 0 else "timeout" if code is None or code < 0 else "killed"
+    return {**found, "outcome": outcome, "seconds": round(time.monotonic() - began, 1)}
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder
+
+
+def _in_a_fork(tree: Path, cpu_s: int = 150, wall_s: float = 900.0) -> int | None:
+    """Exit code of pytest over the selected tests in a fork, which has the libraries loaded; None out of time."""
+    process = multiprocessing.get_context("fork").Process(target=_run_selected, args=(tree, cpu_s))
+    process.start()
+    process.join(wall_s)
+    ended = process.exitcode
+    if process.pid is not None:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # with what the tests have started
+    process.join()
+    return ended
+
+
+def _run_selected(tree: Path, cpu_s: int) -> None:
+    os.setsid()
+    resource.setrlimit(resource.RLIMIT_CPU, (cpu_s, cpu_s + 5))
+    os.chdir(tree)
+    sys.path[:0] = [str(tree)]
+    for name in [name for name in sys.modules if name.split(".")[0] == "benchmarks"]:
+        del sys.modules[name]
+    os.environ["PYTHONPATH"] = str(tree)
+    log = os.open(tree / "log.txt", os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    code = pytest.main(["-x", "-q", "-p", "no:cacheprovider", "-p", "no:xdist", "@selected.txt"])
+    os._exit(int(code))
+
+
+def sample(number: int, seed: int, packages: Sequence[str]) -> list[Mutant]:
+    """Return mutants drawn from all of the packages with equal chance, each another program."""
+    files = [path for package in packages for path in sorted((ROOT / "gbid" / package).rglob("*.py"))]
+    drawn = [mutant for path in files for mutant in mutants(path, ROOT)]
+    random.Random(seed).shuffle(drawn)
+    chosen: list[Mutant] = []
+    for mutant in drawn:
+        if len(chosen) < number and is_another_program(mutant, ROOT):
+            chosen.append(mutant)
+    return chosen
+
+
+def summary(run: Sequence[Mapping[str, Any]]) -> str:
+    """Return the study's table as Markdown: the mutants of each package, and the share that is killed."""
+    lines = ["| package | mutants | killed | equivalent | survived | share killed |", "|---|---|---|---|---|---|"]
+    packages = {entry["file"].split("/")[1] for entry in run}
+    for name in (*sorted(packages), None):
+        counts = Counter(verdict(entry) for entry in run if name in (None, entry["file"].split("/")[1]))
+        n, same, killed = counts.total(), counts["equivalent"], counts["killed"]
+        share = f"{100 * killed / max(n - same, 1):.1f} %"
+        label = f"`gbid/{name}`" if name else "all"
+        lines.append(f"| {label} | {n} | {killed} | {same} | {n - same - killed} | {share} |")
+    return "\n".join(lines)
+
+
+def survivors(run: Sequence[Mapping[str, Any]]) -> str:
+    """Return the mutants that no test noticed as Markdown, with the reason of those that change no behaviour."""
+    lines = ["| where | was | became | equivalent |", "|---|---|---|---|"]
+    for entry in run:
+        if verdict(entry) != "killed":
+            old, new = (f"`{' '.join(entry[key].split())}`".replace("|", "\\|") for key in ("old", "new"))
+            where = f"`{entry['file'].removeprefix('gbid/')}` {entry['line']}"
+            lines.append(f"| {where} | {old} | {new} | {entry.get('equivalent', 'no')} |")
+    return "\n".join(lines)
+
+
+def verdict(entry: Mapping[str, Any]) -> str:
+    """Return "killed", "equivalent" (as judged by hand) or "survived"."""
+    if entry["outcome"] in ("killed", "timeout"):
+        return "killed"
+    return "equivalent" if entry.get("equivalent") else "survived"
+
+
+def _key(entry: Mapping[str, Any]) -> tuple[str, ...]:
+    return entry["file"], entry["function"], entry["old"], entry["new"]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=__doc__)
+    parser.add_argument("--number", type=int, default=300, help="mutants in the sample")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--packages", nargs="+", default=list(PACKAGES), help="packages of gbid, tested by tests/PACKAGE"
+    )
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--budget", type=float, default=40.0, help="time of the tests of one mutant [s]")
+    parser.add_argument(
+        "--work", type=Path, default=ROOT / "build" / "mutants", help="folder of what is measured first"
+    )
+    parser.add_argument("--output", type=Path, default=STORED)
+    options = parser.parse_args(arguments)
+    _made(options.work)
+    if not (options.work / "durations.json").is_file():
+        call = f"m.measure(m.Path({str(options.work)!r}), {options.jobs}, {options.packages})"
+        code = f"import benchmarks.mutants as m; {call}"
+        subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    for name in LIBRARIES:  # once, before the forks
+        importlib.import_module(name)
+    touching = Touching(options.work, options.budget)
+    tasks = [(mutant, touching.tests(mutant)) for mutant in sample(options.number, options.seed, options.packages)]
+    before = json.loads(options.output.read_text(encoding="utf-8")) if options.output.is_file() else []
+    judged = {_key(entry): entry["equivalent"] for entry in before if "equivalent" in entry}
+    run: list[dict[str, Any]] = []
+    with ProcessPoolExecutor(options.jobs, multiprocessing.get_context("fork")) as pool:
+        for entry in pool.map(partial(try_one, options.work / "trees"), tasks):
+            if entry["outcome"] == "survived" and _key(entry) in judged:
+                entry["equivalent"] = judged[_key(entry)]
+            run.append(entry)
+            print(entry["outcome"], f"{entry['file']}:{entry['line']}", file=sys.stderr, flush=True)
+            options.output.write_text(json.dumps(run, indent=1) + "\n", encoding="utf-8")
+    print(summary(run))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,61 @@
+"""The faults of the mutation study are those that it says, and its table counts them."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from benchmarks.mutants import summary, verdict
+from benchmarks.mutations import is_another_program, mutants
+
+SOURCE = '''"""Words."""
+
+LEAST = 2.5
+
+
+def size(values: list[float], *, fully: bool = True) -> float:
+    """Words = 1."""
+    if not values or min(values) < LEAST:
+        raise ValueError(f"{len(values) + 1} values, é")
+    total = 0.0  # é
+    for value in values[1:]:
+        total += value
+    return round(total, ndigits=3)
+'''
+EXPECTED = {
+    ("", "2.5", "5.0"),
+    ("size", "True", "False"),
+    ("size", "not values", "(values)"),
+    ("size", "min", "max"),
+    ("size", "min(values) < LEAST", "(min(values) <= LEAST)"),
+    ("size", "min(values) < LEAST", "(min(values) > LEAST)"),
+    ("size", "not values or min(values) < LEAST", "((not values) and (min(values) < LEAST))"),
+    ("size", "not values or min(values) < LEAST", "(not (not values or min(values) < LEAST))"),
+    ("size", "0.0", "1.0"),
+    ("size", "1", "2"),
+    ("size", "total += value", "pass"),
+    ("size", "round(total, ndigits=3)", "round(total)"),
+    ("size", "3", "4"),
+}
+
+
+def test_faults_of_a_small_file(tmp_path: Path) -> None:
+    path = tmp_path / "size.py"
+    path.write_text(SOURCE, encoding="utf-8")
+    found = mutants(path, tmp_path)
+    assert {(m.function, m.old, m.new) for m in found} == EXPECTED
+    assert len(found) == len(EXPECTED)
+    for mutant in found:
+        assert is_another_program(mutant, tmp_path)
+        assert mutant.apply(SOURCE).splitlines()[: mutant.line - 1] == SOURCE.splitlines()[: mutant.line - 1]
+    same = next(m for m in found if m.old == "total += value")
+    assert ast.unparse(ast.parse(same.apply(SOURCE))).count("pass") == 1
+    with pytest.raises(ValueError, match=r"size\.py:12 is no longer"):
+        same.apply(SOURCE.replace("total += value", "total -= value"))
+
+
+def test_the_share_leaves_equivalent_faults_out() -> None:
+    entries = [{"file": "gbid/lpv/basis.py", "outcome": outcome} for outcome in ("killed", "timeout", "survived")]
+    entries += [{"file": "gbid/lpv/basis.py", "outcome": "survived", "equivalent": "only the speed"}]
+    assert [verdict(e) for e in entries] == ["killed", "killed", "survived", "equivalent"]
+    assert summary(entries).splitlines()[-1] == "| all | 4 | 2 | 1 | 1 | 66.7 % |"
