@@ -154,7 +154,7 @@ def test_slopes_against_differences() -> None:
         step = 1e-5 * np.eye(8)[i]
         difference = (scale.free(theta + step, 400) - scale.free(theta - step, 400)) / 2e-5
         np.testing.assert_allclose(scale.free_slopes(theta, 400)[i], difference, atol=1e-6)
-    problem, longer = RingProblem((data,), scale, (0,)).with_lags(theta, [900.0])
+    problem, longer, _ = RingProblem((data,), scale, (0,)).with_decays(theta, [900.0])
     at = problem.at(longer)
     gradient = at.slopes[0].reshape(-1, len(longer)).T @ at.residuals[0].ravel()
     for i in range(len(longer)):  # Kaufman's slopes give the exact gradient of the squares
@@ -225,6 +225,22 @@ def test_no_two_oscillations_is_a_status() -> None:
     assert np.isnan(found.frequency_hz).all()
 
 
+def test_a_third_mode_is_fitted_beside_the_two_and_told() -> None:
+    heard, plain = [], [recording(axis=axis, starts=(0.1,), n=1500) for axis in (0, 1)]
+    time, w, zeta = H * np.arange(1500), 2 * np.pi * 260.0, 0.5
+    response = H * w * np.exp(-zeta * w * time) * np.sin(w * np.sqrt(1 - zeta**2) * time)
+    for rec in plain:
+        third = np.column_stack([np.convolve(f, response)[:1500] for f in rec.signal("f").T])
+        heard.append(rec.with_signals(p=rec.signal("p") + 3e-6 * third / 10))
+    found, without = gbid.fit_ringdown(heard), gbid.fit_ringdown(heard, lags=3)
+    off, before = (np.abs(one.damping / TRUE[1::2] - 1).max() for one in (found, without))
+    assert off < 0.02
+    assert before > 2 * off
+    assert len(found.oscillations)
+    assert "rings in more than two modes" in " ".join(found.notes)
+    assert not len(gbid.fit_ringdown(plain).oscillations)
+
+
 def test_double_hits_are_told() -> None:
     found = gbid.fit_ringdown(recording(axis=0, starts=(0.1, 0.1065)), lags=0)
     assert "1 double hit" in " ".join(found.notes)
@@ -235,6 +251,7 @@ def test_double_hits_are_told() -> None:
     ("change", "text"),
     [
         (lambda r: r.with_signals(f=0 * r.signal("f") + 0.01), "no impact in the force"),  # all zero: a free decay
+        (lambda r: r.with_signals(f=0 * r.signal("f")), "rises suddenly after 0.09 s, so this is no free decay"),
         (lambda r: r.slice(505, 3000), "cut off by its end"),
         (lambda r: r.slice(0, 520), "samples after the impact"),
         (lambda r: gbid.Recording({"p": r.signal("p")[:, :1], "f": r.signal("f")}, H), "a ring-down needs two"),

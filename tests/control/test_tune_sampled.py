@@ -52,6 +52,16 @@ def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> 
     assert f"damping factor of {damping:.3f}" in runs.notes[-1]
 
 
+@pytest.mark.slow
+def test_sampled_biquad_has_a_certificate_and_is_true_of_the_sampled_loop() -> None:
+    found = gbid.tune(MODEL, "biquad", operating_points=ONE, peak_sensitivity=2.0, sample_time=2e-4)
+    assert found.status == "optimal"
+    assert found.value > 0.825
+    loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller_model(found.controller, dict(found.gains)), 2e-4)
+    assert loop.damping == pytest.approx(found.value, rel=1e-2)
+    assert loop.peak_output.value == pytest.approx(2.0, rel=1e-3)
+
+
 def test_computation_costs_damping() -> None:
     quick = gbid.tune(MODEL, operating_points=ONE, controller="PD", sample_time=2e-4, computation_s=0.0, starts=4)
     slow = gbid.tune(MODEL, operating_points=ONE, controller="PD", sample_time=2e-4, computation_s=4e-4, starts=4)

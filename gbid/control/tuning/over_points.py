@@ -27,17 +27,17 @@ def solve_over_points(
     """Return the optimum over all loops and the history; many loops are handled with a working set.
 
     The search starts with some loops and adds those in which the design is worse. A design that is optimal for some
-    loops and not worse in the others is optimal for all. A known design
-    replaces the first search. With few gains every round is a global search, so that this
+    loops and not worse in the others is optimal for all. A known design of other loops
+    is the start of the first search. With few gains every round is a global search, so that this
     also holds for the result. With many gains each round is a local optimisation from the last design.
     """
     whole = problem.families
     few_gains = len(neutral) <= 3
     if len(whole[0]) <= (_MANY if few_gains else _FEW):
-        return solve(problem, neutral, effort, first, progress, found)
+        return solve(problem, neutral, effort, first, progress, found, of_others=True)
     chosen = plants.first(points)
     problem.families = (plants.family(points, chosen),)
-    found, history = solve(problem, neutral, effort, first, progress, found)
+    found, history = solve(problem, neutral, effort, first, progress, found, of_others=True)
     while True:
         measures = problem.by_loop(whole[0], found.x)
         measures[0] += found.score.value

@@ -14,6 +14,7 @@ from gbid.control.tuning.search.global_search import (
     SearchOutcome,
     better,
     certificate_units,
+    refine,
     search,
 )
 from gbid.control.tuning.search.nonsmooth.certificate import certify
@@ -34,13 +35,18 @@ def solve(
     first: Iterable[FloatArray] = (),
     progress: Progress | None = None,
     found: LocalOptimum | None = None,
+    of_others: bool = False,
 ) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
     """Return the optimum and the history of a search, or of a local optimisation from a known design.
+
+    With `of_others` the known design is that of other loops, and the search looks farther around it.
 
     Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
     """
     if found is None:
         result = search(problem, neutral, effort, first, progress)
+    elif of_others:
+        result = refine(problem, found.x, effort, progress)
     else:
         result = SearchOutcome(optimise_locally(problem, found.x, max_iterations=300, radius=0.02), ())
     best, history = result.best, list(result.history)

@@ -214,7 +214,7 @@ def _search(
         problem.linear = plants.gain_limits(design.points)
         starts = first if found is None else [found.x, *first]
         # few gains: a search of the whole box again, because it costs little; else from the continuous design
-        known = None if found is None or len(neutral) <= 3 else replace(found, converged=False)
+        known = found if len(neutral) > 3 else None
         found, more = solve_over_points(problem, plants, design.points, neutral, effort, starts, progress, known)
         history += more
     assert problem is not None

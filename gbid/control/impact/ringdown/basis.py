@@ -18,6 +18,7 @@ from gbid.recording import Recording
 N_MECHANICAL = 8
 """Parameters of K and D."""
 _SHORTEST = 20  # smallest number of samples of a ring-down
+_STRETCHES, _SUDDEN = 20, 5.0  # a free decay grows from one of so many stretches to the next by less than this factor
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,9 @@ class Scale:
 def _powers(F: FloatArray, n: int) -> FloatArray:
     """Return F^0, F^1, ... F^(n-1), by doubling."""
     powers = np.eye(len(F))[None]
-    while len(powers) < n:
-        powers = np.concatenate([powers, powers @ (powers[-1] @ F)])
+    with np.errstate(over="ignore", invalid="ignore"):  # of unstable start values, which the fit leaves out
+        while len(powers) < n:
+            powers = np.concatenate([powers, powers @ (powers[-1] @ F)])
     return powers[:n]
 
 
@@ -134,6 +136,7 @@ def ring_data(
             )
         used[:skip] = False
         segments.append((skip, len(p)))
+        _refuse_hit(recording, p[skip:], skip)
     q, r = np.linalg.qr(quiet_basis(recording, harmonics) * used[:, None])
     size = np.abs(np.diag(r))
     if size.min() < 1e-8 * size.max():
@@ -141,6 +144,26 @@ def ring_data(
             f"recording {recording.name!r}: too short for {harmonics} harmonics of the shaft angle; use fewer"
         )
     return RingData(recording.name, p * used[:, None], used, pulses, tuple(segments), q)
+
+
+def _refuse_hit(recording: Recording, decay: FloatArray, skip: int) -> None:
+    """Refuse a position that rises suddenly, which no free decay does: a force was not measured, or is zero.
+
+    Raises
+    ------
+    DataError
+        When it does.
+    """
+    length = max(len(decay) // _STRETCHES, 1)
+    moved = decay - np.median(decay, axis=0)
+    size = np.array([np.sqrt(np.mean(moved[i : i + length] ** 2)) for i in range(0, len(moved) - length + 1, length)])
+    rises = np.flatnonzero((size[1:] > _SUDDEN * size[:-1]) & (size[1:] > 0.2 * size.max()))
+    if len(rises):
+        first, last = ((skip + (int(rises[i]) + k) * length) * recording.sample_time for i, k in ((0, 1), (-1, 2)))
+        raise DataError(
+            f"recording {recording.name!r}: the position rises suddenly after {first:.2g} s, so this is no free decay; "
+            f"give the measured force (it is missing or zero), or leave out what comes before: skip_s={last:.2g}"
+        )
 
 
 def quiet_basis(recording: Recording, harmonics: int) -> FloatArray:
@@ -163,12 +186,22 @@ def harmonics_for(recording: Recording, harmonics: int | None) -> int:
     return (10 if harmonics is None else harmonics) if turning else 0
 
 
-def lagging_force(data: RingData, rates: Sequence[float], directions: Sequence[int], sample_time: float) -> FloatArray:
-    """Return the force filtered by lags of gain one, shape (n_samples, n_rates n_directions); zero where not used."""
+def lagging_force(
+    data: RingData, rates: Sequence[complex], directions: Sequence[int], sample_time: float
+) -> FloatArray:
+    """Return the force filtered by decays of given rates, shape (n_samples, n_columns); zero where not used.
+
+    A real rate is a lag of gain one. A complex one is a decay that oscillates, with a column for its sine and one for
+    its cosine. Columns are in the order of the rates, with those of all directions for each.
+    """
     columns = [np.zeros((len(data.position), 0))]
     for rate in rates:
-        A, E = -rate * np.eye(2), rate * np.eye(2)
+        turning = rate.imag * np.array([[0.0, 1.0], [-1.0, 0.0]])
+        A = -rate.real * np.eye(4) + np.kron(turning, np.eye(2))
+        E = abs(rate) * np.eye(4, 2)
+        if not rate.imag:
+            A, E = A[:2, :2], E[:2]
         forcing = pulse_forcing(A, E, data.pulses, len(data.position), sample_time)
-        states = propagate(expm(A * sample_time), forcing, np.zeros(2))
-        columns.append(states[:, list(directions)] * data.used[:, None])
+        states = propagate(expm(A * sample_time), forcing, np.zeros(len(A))) * data.used[:, None]
+        columns += [states[:, [i + 2 * part for i in directions]] for part in range(len(A) // 2)]
     return np.hstack(columns)

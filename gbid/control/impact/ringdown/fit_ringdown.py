@@ -24,6 +24,7 @@ from gbid.control.impact.measured import MeasuredImpact, find_impacts, force_of,
 from gbid.control.impact.ringdown.basis import RingData, Scale, harmonics_for, ring_data
 from gbid.control.impact.ringdown.coloured import MEMORY_S, autocovariance, sandwich
 from gbid.control.impact.ringdown.lags import fit_lags
+from gbid.control.impact.ringdown.oscillations import oscillations
 from gbid.control.impact.ringdown.ringdown_result import RingDown, RingDownStatus, two_modes
 from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import start_candidates
@@ -58,7 +59,8 @@ def fit_ringdown(
     lags : int or "auto"
         Number of decays without oscillation to fit besides the modes. In open loop there are none. A closed loop has
         those of actuators, low-pass and delays; a fit without them would overestimate the damping. ``"auto"`` chooses
-        none or 3 by Schwarz's criterion (BIC). Free decays without a measured force have none.
+        none or 3 by Schwarz's criterion (BIC), and with them up to two decays that oscillate: a loop with filters has
+        more modes that ring than two. Free decays without a measured force have none.
     harmonics : int, optional
         Number of harmonics of the shaft angle `phi` to estimate; by default 10 when the shaft turns.
     skip_s : float
@@ -200,6 +202,10 @@ def _result(
     doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
     if doubles:
         notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")
+    further = oscillations(problem)
+    if len(further):
+        words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
+        notes = (*notes, f"the response rings in more than two modes; fitted beside them as decays at {words}")
     if status is RingDownStatus.CONVERGED and std[0] + std[2] > modes[2] - modes[0]:
         notes = (*notes, "the frequencies differ by less than their uncertainty: which mode is which is not certain")
     return RingDown(
@@ -210,11 +216,12 @@ def _result(
         spread,
         K,
         D,
-        np.array(problem.rates),
+        np.array([rate.real for rate in problem.rates if not rate.imag]),
         rms,
         sum(len(impacts) for impacts in found),
         tuple(rec.name for rec in group),
         harmonics,
         status,
         notes,
+        further,
     )

@@ -9,6 +9,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import N_MECHANICAL
+from gbid.control.impact.ringdown.oscillations import add_oscillations, schwarz
 from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import eigenvalues_of
 from gbid.errors import DataError
@@ -23,6 +24,8 @@ def fit_lags(
     problems: Callable[[float], RingProblem], guesses: Sequence[tuple[float, FloatArray]], lags: int | str
 ) -> tuple[RingProblem, SeparableFit]:
     """Return the fit of two modes, with lags when they are requested or when the data require them.
+
+    Where ``"auto"`` chooses lags, it also chooses decays that oscillate, see `add_oscillations`.
 
     The rates of the lags are fixed around the frequency of the modes. Sums of such decays approximate any other decay
     in this range. Estimated rates would become equal, or would fit noise.
@@ -49,16 +52,16 @@ def fit_lags(
     wanted = LAGS if lags == "auto" else int(lags)
     if wanted == 0:
         return problem, solved
-    larger, theta = problem.with_lags(solved.theta, lag_rates(problem, solved, wanted).tolist())
+    larger, theta, _ = problem.with_decays(solved.theta, lag_rates(problem, solved, wanted).tolist())
     try:
         more = larger.solve(theta)
     except (np.linalg.LinAlgError, ValueError):
         more = None
     if more is None and lags != "auto":
         raise DataError(f"recording {problem.data[0].name!r}: no fit with {lags} lags; use fewer, or lags='auto'")
-    if more is None or (lags == "auto" and _schwarz(problem, solved) <= _schwarz(larger, more)):
+    if more is None or (lags == "auto" and schwarz(problem, solved) <= schwarz(larger, more)):
         return problem, solved
-    return larger, more
+    return add_oscillations(larger, more) if lags == "auto" else (larger, more)
 
 
 def lag_rates(problem: RingProblem, solved: SeparableFit, count: int) -> FloatArray:
@@ -88,9 +91,3 @@ def _fit_modes(
             f"recording {problems(1.0).data[0].name!r}: no two modes fit the ring-down; give start=[(f, zeta), ...]"
         )
     return min(found, key=lambda t: t[1].at.squares)
-
-
-def _schwarz(problem: RingProblem, solved: SeparableFit) -> float:
-    """Return Schwarz's criterion (BIC) up to a constant; residuals below 1e-6 of the signal count as rounding."""
-    n = problem.n_values
-    return float(n * np.log(max(solved.at.squares / n, 1e-12)) + np.log(n) * (len(solved.theta) + problem.n_linear))

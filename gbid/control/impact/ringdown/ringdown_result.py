@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
@@ -55,6 +55,9 @@ class RingDown(Brief):
         Why the fit ended.
     notes : tuple of str
         Remarks for the reader of the result.
+    oscillations : (n, 2) array
+        Natural frequency [Hz] and damping factor of decays that oscillate and were fitted beside the modes. They stand
+        for all further modes of the loop and need not be one of them.
     """
 
     frequency_hz: Annotated[FloatArray, Stored("Hz", "natural frequencies from the ring-down", "2")]
@@ -71,6 +74,9 @@ class RingDown(Brief):
     harmonics: int
     status: RingDownStatus
     notes: tuple[str, ...] = ()
+    oscillations: Annotated[FloatArray, Stored("Hz, 1", "decays that oscillate, beside the modes", "n 2")] = field(
+        default_factory=lambda: np.zeros((0, 2))
+    )
 
     def modes(self) -> list[tuple[float, float]]:
         """Return natural frequency [Hz] and damping factor of each mode, as `LinearModel.modes` does."""

@@ -82,15 +82,15 @@ class RingProblem:
         Directions of force: 0 for x, 1 for y.
     weights : (2,) array
         Factors on the residuals of x and y.
-    rates : tuple of float
-        Rates of the lags [1/s].
+    rates : tuple of complex
+        Rates of the decays beside the modes [1/s]: lags, and with an imaginary part oscillations.
     """
 
     data: tuple[RingData, ...]
     scale: Scale
     directions: tuple[int, ...]
     weights: FloatArray = field(default_factory=lambda: np.ones(2))
-    rates: tuple[float, ...] = ()
+    rates: tuple[complex, ...] = ()
 
     @property
     def n_values(self) -> int:
@@ -107,15 +107,20 @@ class RingProblem:
         """Force of each recording, filtered by the lags."""
         return tuple(lagging_force(d, self.rates, self.directions, self.scale.sample_time) for d in self.data)
 
-    def with_lags(self, theta: FloatArray, rates: Sequence[float]) -> tuple[RingProblem, FloatArray]:
-        """Return the problem with lags of given rates, and its parameters with gains from linear least squares."""
+    def with_decays(self, theta: FloatArray, rates: Sequence[complex]) -> tuple[RingProblem, FloatArray, float]:
+        """Return the problem with decays of given rates, its parameters, and its sum of squares.
+
+        The gains of the decays come from linear least squares, with K and D as they are.
+        """
         problem = replace(self, rates=tuple(rates))
-        longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * len(rates) * len(self.directions))])
+        n_columns = len(self.directions) * sum(2 if rate.imag else 1 for rate in rates)
+        longer = np.concatenate([theta[:N_MECHANICAL], np.zeros(2 * n_columns)])
         at = problem.at(longer)
         slopes = np.concatenate([s.reshape(-1, len(longer))[:, N_MECHANICAL:] for s in at.slopes])
         residuals = np.concatenate([r.ravel() for r in at.residuals])
-        longer[N_MECHANICAL:] = -np.linalg.lstsq(slopes, residuals, rcond=None)[0]
-        return problem, longer
+        gains = np.linalg.lstsq(slopes, -residuals, rcond=None)[0]
+        longer[N_MECHANICAL:] = gains
+        return problem, longer, float(((residuals + slopes @ gains) ** 2).sum())
 
     def at(self, theta: FloatArray, *, slopes: bool = True) -> Projected:
         """Return the residuals and, if `slopes` is set, their derivatives."""
