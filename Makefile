@@ -51,7 +51,7 @@ QUICK := tests/house tests/recording/test_recording.py tests/recording/test_reco
 	tests/lpv/test_lpv_fit.py::test_data_without_errors_give_the_table_of_the_paper_back \
 	tests/control/test_tune.py::test_the_papers_design_is_found_again \
 	tests/cli/test_cli.py::test_run_prints_data_on_stdout_and_progress_on_stderr
-LEFT_TO_TEST := $(foreach name,docs benchmarks packaging old_files,--ignore=tests/house/test_$(name).py)
+LEFT_TO_TEST := $(foreach name,docs benchmarks packaging old_files fuzz,--ignore=tests/house/test_$(name).py)
 
 test-quick: $(VENV)/.installed-test  ## style, layers, and the tests of the heart, in less than a minute
 	$(BIN)/ruff check .

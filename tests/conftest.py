@@ -18,8 +18,8 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's way with what
 
 from hypothesis import settings  # noqa: E402  it may load numpy
 
-settings.register_profile("repeatable", derandomize=True)
-settings.register_profile("search", derandomize=False, print_blob=True)
+settings.register_profile("repeatable", derandomize=True, deadline=None)
+settings.register_profile("search", derandomize=False, deadline=None, print_blob=True)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
