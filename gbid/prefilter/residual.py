@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +13,9 @@ from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
 from gbid.recording import Recording
 
+SHARE = 0.3
+"""A line is named when its rms is above this share of the sensor noise."""
+_WHOLE = 0.02  # an order is a harmonic of the shaft within this distance
 _UPPER = 0.5  # upper part of the spectrum that contains sensor noise only
 
 
@@ -121,3 +124,40 @@ def power_of(values: FloatArray, sample_time: float) -> tuple[FloatArray, FloatA
     if n % 2 == 0:
         power[-1] /= 2  # the Nyquist frequency occurs only once
     return power, np.asarray(np.fft.rfftfreq(n, sample_time)[1:], dtype=float)
+
+
+def leftover_words(runout_map: RunoutMap, recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """Return a remark on each strongest line that a map leaves in stationary recordings, above a share of the noise.
+
+    Parameters
+    ----------
+    runout_map : RunoutMap
+        The map.
+    recordings : sequence of Recording
+        Recordings with piezos at rest, as for `identify_runout`.
+
+    Returns
+    -------
+    tuple of str
+        Empty when nothing is left over, or for a shaft at rest.
+    """
+    if not runout_map.needs_angle:
+        return ()
+    return tuple(words for rec in recordings for words in _words(runout_map, runout_residual(runout_map, rec)))
+
+
+def _words(runout_map: RunoutMap, left: RunoutResidual) -> list[str]:
+    found = []
+    for i, channel in enumerate(runout_map.channels):
+        if left.line_rms[i] <= SHARE * left.noise[i]:
+            continue
+        order, nearest = left.order[i], round(left.order[i])
+        size = f"{left.name}: left over in p_{channel}: {1e9 * left.line_rms[i]:.0f} nm rms"
+        at = f"{left.frequency_hz[i]:.1f} Hz, noise {1e9 * left.noise[i]:.0f} nm"
+        if nearest < 1 or abs(order - nearest) > _WHOLE:
+            found.append(f"{size} of order {order:.2f} ({at}): it does not follow the shaft, so no map removes it")
+        elif nearest > runout_map.orders.max(initial=0):
+            found.append(f"{size} of order {nearest} ({at}): harmonics: {nearest} or auto removes it")
+        else:
+            found.append(f"{size} of order {nearest} ({at}): the run-out changes within the recording")
+    return found

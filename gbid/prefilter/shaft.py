@@ -29,6 +29,15 @@ class ShaftMotion(NamedTuple):
     turns: float
 
 
+def turns_per_second(rec: Recording) -> float | None:
+    """Return the mean speed of the shaft by its angle phi [1/s]; None without an angle or for less than one turn."""
+    if "phi" not in rec.signals or rec.signal("phi").shape[1] != 1 or rec.n_samples < 2:
+        return None
+    course = np.unwrap(rec.signal("phi")[:, 0])
+    turns = abs(float(course[-1] - course[0])) / (2 * np.pi)
+    return turns / ((rec.n_samples - 1) * rec.sample_time) if turns >= 1 else None
+
+
 def shaft_motion(rec: Recording) -> ShaftMotion:
     """Return the shaft angle phi, after a comparison with the stated speed.
 

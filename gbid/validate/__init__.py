@@ -5,6 +5,7 @@ from gbid.validate.crossval import Validation, cross_validate, cross_validate_ma
 from gbid.validate.fit_percent import fit_percent
 from gbid.validate.residuals import ResidualTest, check_residuals
 from gbid.validate.scores import PointSummary, ValidationScores, ValidationSummary, WorstPair, summarise
+from gbid.validate.shaft_lines import ShaftLine, shaft_lines
 from gbid.validate.simulator import estimate_initial_state
 from gbid.validate.validation_store import (
     load_actuators,
@@ -18,6 +19,7 @@ __all__ = [
     "NominalActuator",
     "PointSummary",
     "ResidualTest",
+    "ShaftLine",
     "Validation",
     "ValidationScores",
     "ValidationSummary",
@@ -32,5 +34,6 @@ __all__ = [
     "nominal_actuator",
     "save_nominal_actuator",
     "save_validation_summary",
+    "shaft_lines",
     "summarise",
 ]

@@ -137,29 +137,14 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
     """
     check_order(result, "check_residuals(result, recording)")
     u, input_names, _ = select(recording, result.options.inputs)
-    y, output_names, _ = select(recording, result.options.outputs)
-    stretch = _longest(counted_samples(recording, left_out), len(y))
-    u, y = u[stretch], y[stretch]
-    if lags < 1 or len(y) < 4 * lags:
+    output_names = select(recording, result.options.outputs)[1]
+    stretch = _longest(counted_samples(recording, left_out), len(u))
+    u = u[stretch]
+    if lags < 1 or len(u) < 4 * lags:
         raise UsageError(
-            f"lags = {lags}: recording {recording.name!r} has {len(y)} samples; lags must be 1 to a fourth"
+            f"lags = {lags}: recording {recording.name!r} has {len(u)} samples; lags must be 1 to a fourth"
         )
-    model, between = result.model, result.options.intersample
-    overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
-    with np.errstate(over="ignore", invalid="ignore"):
-        disturbances = result.options.disturbances
-        fitted = simulator_of(model, recording.sample_time, between, disturbances)
-        state = fitted.explain(u.T, y.T).initial_state
-        if not np.isfinite(state).all():
-            raise overflow
-        predicted = fitted.run(u.T, state).T
-        y = y - fitted.disturbed((y - predicted).T).T
-        if result.options.focus == "prediction":
-            model = with_walking_offsets(model, disturbances, result.parameters)
-            state = np.concatenate([state, np.zeros(len(disturbances.walking))])
-            predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
-    if not np.isfinite(predicted).all():
-        raise overflow
+    y, predicted = _predicted(result, recording, stretch)
     error = y - predicted
     e, v = error - error.mean(0), u - u.mean(0)
     n, n_y, n_u = len(e), e.shape[1], v.shape[1]
@@ -196,6 +181,49 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
         output_names=tuple(output_names),
         verdict=_verdict(white.p_value, independent, input_names, output_names),
     )
+
+
+def residuals_of(result: FitResult, recording: Recording, left_out: Ranges = ()) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the residuals of a fitted model on a recording, and the names of the outputs; see `check_residuals`.
+
+    Returns
+    -------
+    (n_samples, n_outputs) array
+        Residuals of the longest stretch without samples left out.
+    tuple of str
+        Names of the outputs.
+
+    Raises
+    ------
+    DataError
+        When the recording lacks a signal, or when the predictions overflow.
+    """
+    names = select(recording, result.options.outputs)[1]
+    y, predicted = _predicted(result, recording, _longest(counted_samples(recording, left_out), recording.n_samples))
+    return y - predicted, tuple(names)
+
+
+def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple[FloatArray, FloatArray]:
+    """Return the outputs without their disturbances, and their predictions."""
+    u = select(recording, result.options.inputs)[0][stretch]
+    y = select(recording, result.options.outputs)[0][stretch]
+    model, between = result.model, result.options.intersample
+    overflow = DataError(f"the predictor of {', '.join(result.recordings)} overflows on recording {recording.name!r}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        disturbances = result.options.disturbances
+        fitted = simulator_of(model, recording.sample_time, between, disturbances)
+        state = fitted.explain(u.T, y.T).initial_state
+        if not np.isfinite(state).all():
+            raise overflow
+        predicted = fitted.run(u.T, state).T
+        y = y - fitted.disturbed((y - predicted).T).T
+        if result.options.focus == "prediction":
+            model = with_walking_offsets(model, disturbances, result.parameters)
+            state = np.concatenate([state, np.zeros(len(disturbances.walking))])
+            predicted = model.predict(u, y, recording.sample_time, initial_state=state, intersample=between)
+    if not np.isfinite(predicted).all():
+        raise overflow
+    return y, predicted
 
 
 def _longest(counted: BoolArray | None, n: int) -> slice:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy.typing as npt
 
-from gbid.errors import DataError
+from gbid.errors import DataError, GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key
 from gbid.experiment.recordings import refuse_bad_signals
@@ -22,11 +23,13 @@ from gbid.experiment.stages.fit.checks import FIT_CHECKS
 from gbid.experiment.stages.fit.option_checks import OPTION_CHECKS
 from gbid.experiment.stages.fit.plan import fit_models, recordings_of
 from gbid.experiment.stages.fit.structures import fit_channels, make_structure, structure_settings
+from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.experiment.stages.prefilter.stage import fit_input_key, load_fit_input
 from gbid.hdf5 import read_attribute, read_dataset, reading
 from gbid.identify import FitResult, TableEntry, fit, fit_multistart, load_fit, save_fit
 from gbid.identify.fit_store import KIND
 from gbid.recording import ProblemKind, Recording
+from gbid.validate.shaft_lines import shaft_lines
 
 FOLDER = "fits"
 _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples")
@@ -164,8 +167,40 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
     else:
         options = section.multi_start.model_dump()
         result = fit_multistart(structure, data, **options, progress=job.reporter.iteration, **arguments).best
+    result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))
+
+
+def _suspects(job: Job, name: str, result: FitResult, data: Sequence[Recording]) -> list[str]:
+    """Return remarks on lines of the shaft in residuals that are not white: run-out that the prefilter left."""
+    if result.trusted == "white":
+        return []
+    section, left_out = job.experiment.spec.prefilter, job.experiment.spec.fits[name].left_out
+    removed = "no run-out is removed" if section is None or section.method == "none" else _removed(section)
+    found = []
+    for rec in data:
+        ranges = [samples_of(rec, *stretch) for stretch in left_out.get(rec.name, ())]
+        try:
+            lines = shaft_lines(result, rec, ranges)
+        except GbidError:  # a model that overflows has a note of its own
+            continue
+        found += [
+            f"suspect for residuals that are not white: {rec.name}: {line.output} has a line of {line.rms:.2g} "
+            f"{_unit(rec, line.output)} rms at {line.frequency_hz:.1f} Hz, order {line.order} of the shaft; {removed}"
+            for line in lines
+        ]
+    return found
+
+
+def _removed(section: PrefilterSection) -> str:
+    if section.method == "harmonics" and section.harmonics != "auto":
+        return f"the prefilter removes {section.harmonics} harmonics; see what its map leaves, or write harmonics: auto"
+    return f"the prefilter removes run-out by method {section.method}; see what its map leaves"
+
+
+def _unit(rec: Recording, output: str) -> str:
+    return rec.units.get(output.rpartition("_")[0], "")
 
 
 def _smallest(percent: npt.NDArray[Any]) -> float:

@@ -55,7 +55,7 @@ def _compiled(
     experiment: Experiment, controller: LoopController, still: Recording, settle_s: float
 ) -> ProgramController:
     section = experiment.spec.prefilter
-    harmonics = _HARMONICS if section is None else section.harmonics
+    harmonics = _HARMONICS if section is None or section.harmonics == "auto" else section.harmonics
     start_s = max(_SHARE_OF_SETTLING * settle_s, controller.design.sample_time)
     options = replace(chain_options(experiment), ramp_s=start_s, fade_s=start_s)
     runout_map = identify_runout([still], harmonics=harmonics)

@@ -10,11 +10,14 @@ from gbid.experiment.fields import Count, Section, Switch
 
 
 class PrefilterSection(Section):
-    """Corrections of the excited recordings before the fits (paper, Sec. 3.5)."""
+    """Corrections of the excited recordings before the fits (paper, Sec. 3.5).
+
+    `harmonics`: their number, or ``auto`` for the smallest one that leaves no more than others on held-out data.
+    """
 
     method: Literal["harmonics", "bins", "auto", "none"] = "harmonics"
     align_index: Switch = False
-    harmonics: Count = 10
+    harmonics: Count | Literal["auto"] = 10
     bins: Annotated[int, Strict(), Field(ge=4)] = 100
     spikes: Switch = True
     median: Count = 1

@@ -22,6 +22,7 @@ from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
 from gbid.prefilter.align import refuse_lost_index
 from gbid.prefilter.prefilter_store import add_report, read_report
+from gbid.prefilter.residual import leftover_words
 from gbid.recording import Recording, save_recording
 
 FOLDER = "prefiltered"
@@ -138,18 +139,21 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
             rec = align_index(_identified(still[:1], section)[0], rec).apply(rec)
         still.append(rec)
     runout_map, words = _identified(still, section)
-    return replace(runout_map, notes=(*runout_map.notes, *words))
+    return replace(runout_map, notes=(*runout_map.notes, *words, *leftover_words(runout_map, still)))
 
 
 def _identified(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
-    """Return the map by the method of the section, and a note on the choice of method auto."""
-    if section.method != "auto":
-        return identify_runout(still, method=section.method, harmonics=section.harmonics, bins=section.bins), ()
-    compared = compare_runout(still)
+    """Return the map by the method of the section, and a note on what was chosen by held-out data."""
+    if section.method == "bins" or (section.method == "harmonics" and section.harmonics != "auto"):
+        number = 1 if section.harmonics == "auto" else section.harmonics  # not used by bins
+        return identify_runout(still, method=section.method, harmonics=number, bins=section.bins), ()
+    by_method = section.method == "auto"
+    compared = compare_runout(still) if by_method else compare_runout(still, bins=())
     chosen = compared.chosen
     left = ", ".join(f"{1e9 * rms:.1f}" for rms in chosen.residual_rms)
     size = "" if chosen.method == "mean" else f", {chosen.size}"
-    return compared.runout_map, (f"method auto: {chosen.method}{size}; rms residual on test data {left} nm",)
+    key = "method" if by_method else "harmonics"
+    return compared.runout_map, (f"{key} auto: {chosen.method}{size}; rms residual on test data {left} nm",)
 
 
 def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:

@@ -1,0 +1,100 @@
+"""The prefilter advises itself: harmonics by held-out data, what is left over, and suspects for coloured residuals."""
+
+import numpy as np
+import pytest
+from experiment_files import gbid as call
+from study_rig import machine_at
+
+import gbid
+from gbid.prefilter import identify_runout
+from gbid.prefilter.prefilter import prefilter
+from gbid.prefilter.residual import leftover_words
+from gbid.prefilter.shaft import turns_per_second
+from gbid.rig import Prbs, Stationary, record
+from gbid.validate.shaft_lines import shaft_lines
+
+POINT = (5.0, 4000.0)
+SIZES = (61, 59)  # 60 nm and noise
+EXPERIMENT = """\
+format: 1
+name: own
+import:
+  recordings:
+{recordings}
+prefilter: {{harmonics: {harmonics}}}
+fits: {{bearing: {{structure: rotor_bearing}}}}
+"""
+RECORDING = """\
+    - name: {name}
+      file: {name}.npz
+      kind: {kind}
+      sample_time_s: 2.0e-4
+      conditions: {{pressure_bar: 5.0, speed_rpm: 4000}}
+      signals:
+        u: {{columns: ["u[0]", "u[1]"], unit: m}}
+        p: {{columns: ["p[0]", "p[1]"], unit: m}}
+        phi: {{columns: phi, unit: rad}}
+"""
+
+
+def recorded(what, name, order=13, size=60e-9):
+    """A recording with one more harmonic of run-out in x."""
+    conditions = dict(zip(("pressure_bar", "speed_rpm"), POINT, strict=True))
+    rec = record(machine_at(*POINT), what, conditions=conditions, seed=4, name=name)
+    p = rec.signal("p").copy()
+    p[:, 0] += size * np.sqrt(2) * np.cos(order * rec.signal("phi")[:, 0])
+    return rec.with_signals(p=p)
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return [recorded(Stationary(0.6), "still1"), recorded(Stationary(0.6), "still2"), recorded(Prbs(1.0), "prbs")]
+
+
+def test_what_a_map_leaves_is_named_with_order_and_size(recordings):
+    still = recordings[:2]
+    words = leftover_words(identify_runout(still, harmonics=10), still)
+    assert [text.split(" (")[0] for text in words] == [
+        f"{rec.name}: left over in p_x: {size} nm rms of order 13" for rec, size in zip(still, SIZES, strict=True)
+    ]
+    assert all("866.7 Hz" in text and "harmonics: 13 or auto removes it" in text for text in words)
+    assert leftover_words(identify_runout(still, harmonics=13), still) == ()
+    odd = recorded(Stationary(0.6), "odd", order=0.5)
+    assert "of order 0.50" in leftover_words(identify_runout(odd, harmonics=3), [odd])[0]
+    assert "so no map removes it" in leftover_words(identify_runout(odd, harmonics=3), [odd])[0]
+
+
+def test_lines_of_the_shaft_in_residuals(recordings):
+    *still, prbs = recordings
+    for harmonics, orders in ((10, [("p_x", 13)]), (13, [])):
+        filtered, _ = prefilter(prbs, identify_runout(still, harmonics=harmonics))
+        result = gbid.fit(gbid.RotorBearing(), filtered)
+        lines = shaft_lines(result, filtered)
+        assert [(line.output, line.order) for line in lines] == orders
+        assert (result.trusted == "robust") == bool(orders)
+        for line in lines:
+            assert line.frequency_hz == pytest.approx(13 * turns_per_second(prbs))
+            assert 30e-9 < line.rms < 90e-9
+        assert shaft_lines(result, filtered.with_signals(phi=np.zeros((filtered.n_samples, 1)))) == []
+
+
+@pytest.mark.parametrize(("harmonics", "advised"), [("10", True), ("auto", False)])
+def test_an_experiment_says_so(recordings, harmonics, advised, tmp_path, capsys):
+    listed = []
+    for rec in recordings:
+        np.savez(tmp_path / f"{rec.name}.npz", **{name: rec.signal(name) for name in ("u", "p", "phi")})
+        listed.append(RECORDING.format(name=rec.name, kind="excited" if rec.name == "prbs" else "stationary"))
+    path = tmp_path / "own.yaml"
+    path.write_text(EXPERIMENT.format(recordings="".join(listed).rstrip(), harmonics=harmonics), encoding="utf-8")
+    assert call("import", path, "--engine", "serial") == 0
+    capsys.readouterr()
+    assert call("fit", path, "--engine", "serial") == 0
+    said = capsys.readouterr().err
+    result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "prbs.h5")
+    suspects = [note for note in result.notes if note.startswith("suspect")]
+    assert ("left over in p_x: 61 nm rms of order 13" in said) == advised
+    assert ("harmonics auto: harmonics, 15; rms residual on test data" in said) != advised
+    assert len(suspects) == advised
+    if advised:
+        assert "p_x has a line of" in suspects[0]
+        assert "at 866.7 Hz, order 13 of the shaft; the prefilter removes 10 harmonics" in suspects[0]
