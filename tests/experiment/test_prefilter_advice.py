@@ -1,5 +1,7 @@
 """The prefilter advises itself: harmonics by held-out data, what is left over, and suspects for coloured residuals."""
 
+import re
+
 import numpy as np
 import pytest
 from experiment_files import gbid as call
@@ -14,7 +16,6 @@ from gbid.rig import Prbs, Stationary, record
 from gbid.validate.shaft_lines import shaft_lines
 
 POINT = (5.0, 4000.0)
-SIZES = (61, 59)  # 60 nm and noise
 EXPERIMENT = """\
 format: 1
 name: own
@@ -54,9 +55,9 @@ def recordings():
 def test_what_a_map_leaves_is_named_with_order_and_size(recordings):
     still = recordings[:2]
     words = leftover_words(identify_runout(still, harmonics=10), still)
-    assert [text.split(" (")[0] for text in words] == [
-        f"{rec.name}: left over in p_x: {size} nm rms of order 13" for rec, size in zip(still, SIZES, strict=True)
-    ]
+    for rec, text in zip(still, words, strict=True):
+        size = re.match(rf"{rec.name}: left over in p_x: (\d+) nm rms of order 13 ", text)
+        assert 57 <= int(size[1]) <= 63  # 60 nm and noise
     assert all("866.7 Hz" in text and "harmonics: 13 or auto removes it" in text for text in words)
     assert leftover_words(identify_runout(still, harmonics=13), still) == ()
     odd = recorded(Stationary(0.6), "odd", order=0.5)
@@ -92,7 +93,7 @@ def test_an_experiment_says_so(recordings, harmonics, advised, tmp_path, capsys)
     said = capsys.readouterr().err
     result = gbid.load_fit(tmp_path / "results" / "own" / "fits" / "bearing" / "prbs.h5")
     suspects = [note for note in result.notes if note.startswith("suspect")]
-    assert ("left over in p_x: 61 nm rms of order 13" in said) == advised
+    assert bool(re.search(r"left over in p_x: \d+ nm rms of order 13", said)) == advised
     assert ("harmonics auto: harmonics, 15; rms residual on test data" in said) != advised
     assert len(suspects) == advised
     if advised:
