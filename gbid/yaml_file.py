@@ -17,6 +17,7 @@ from ruamel.yaml.scalarstring import DoubleQuotedScalarString
 from gbid.errors import UsageError
 from gbid.files.library_errors import in_one_line
 from gbid.files.text_checksum import is_changed, with_text_checksum
+from gbid.notes.data_notes import DataNote
 
 CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
 
@@ -98,7 +99,7 @@ def read_yaml(path: Path) -> YamlFile:
     if not isinstance(tree, CommentedMap):
         found = "nothing" if tree is None else type(plain(tree)).__name__
         raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
-    notes = (f"{path}: {CHANGED}",) if is_changed(content) else ()
+    notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
 
 

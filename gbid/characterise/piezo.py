@@ -13,6 +13,7 @@ from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import MIN_SAMPLES, Plateaus, find_plateaus, steady_means, steady_parts
 from gbid.errors import DataError, UsageError
 from gbid.hdf5 import Stored
+from gbid.notes.data_notes import DataNote
 from gbid.recording import Recording
 
 _SMALL_STEP = 0.6  # of the median step gain: a smaller step towards the end of the travel is saturated
@@ -159,9 +160,10 @@ def characterise_piezo(
     notes = []
     if saturated.any():
         where = ", ".join(f"{i + 1}" for i in np.flatnonzero(saturated))
-        notes.append(f"saturated: step {where} of {len(step)} (position {at.min():.4g} to {at.max():.4g})")
+        text = f"saturated: step {where} of {len(step)} (position {at.min():.4g} to {at.max():.4g})"
+        notes.append(DataNote.SATURATED(text))
     if np.isnan(hysteresis):
-        notes.append("the staircase goes in one direction only, so the hysteresis is not known")
+        notes.append(DataNote.ONE_DIRECTION("the staircase goes in one direction only, so the hysteresis is not known"))
     time, responses = _responses(y, plateaus, recording.sample_time)
     return PiezoCurve(
         command=level,

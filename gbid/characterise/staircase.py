@@ -12,6 +12,7 @@ from gbid.characterise.branches import branch_difference
 from gbid.characterise.plateaus import find_plateaus, steady_means, steady_parts
 from gbid.characterise.static_map import StaticMap
 from gbid.errors import DataError, UsageError
+from gbid.notes.data_notes import DataNote
 from gbid.recording import Recording
 
 _AT_REST = 0.01  # of the whole travel of the command
@@ -75,7 +76,7 @@ def characterise_staircase(
             "they must match"
         )
     for name in (f"{source}_{c}" for c, m in zip(group[0].channels[source], moved, strict=True) if not m):
-        notes.append(f"no recording moves {name}, so its gains are not known")
+        notes.append(DataNote.NOT_MOVED(f"no recording moves {name}, so its gains are not known"))
     basis = np.hstack([u[:, moved], np.eye(len(group))[number]])
     dof = len(basis) - basis.shape[1]
     if dof < 1 or np.linalg.matrix_rank(basis / np.abs(basis).max(axis=0)) < basis.shape[1]:

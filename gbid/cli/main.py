@@ -12,6 +12,7 @@ from gbid.cli.batch import batch
 from gbid.cli.check import check
 from gbid.cli.clean import clean
 from gbid.cli.doctor import doctor
+from gbid.cli.explaining import explain
 from gbid.cli.exporting import export
 from gbid.cli.figures import figures
 from gbid.cli.fit import fit
@@ -75,6 +76,7 @@ app.command(
     epilog=examples("gbid clean rig1/experiment.yaml --dry-run", "gbid clean rig1/experiment.yaml --everything"),
 )(clean)
 app.command("doctor", rich_help_panel=START, epilog=examples("gbid doctor", "gbid doctor --json"))(doctor)
+app.command("explain", rich_help_panel=REPORT, epilog=examples("gbid explain GB102", "gbid explain"))(explain)
 app.command("schema", rich_help_panel=START, epilog=examples("gbid schema --output rig1/experiment.schema.json"))(
     schema
 )

@@ -8,6 +8,7 @@ from typing import Any
 
 from gbid.experiment.experiment import Experiment
 from gbid.files.text_checksum import is_changed
+from gbid.notes.data_notes import DataNote
 from gbid.yaml_file import CHANGED
 
 
@@ -18,7 +19,7 @@ def changed_files(experiment: Experiment) -> list[str]:
         path = experiment.folder_of(name) / name
         with suppress(OSError):  # the stage that needs it reports the error
             if is_changed(path.read_bytes()):
-                notes.append(f"{path}: {CHANGED}; it is used as it is now")
+                notes.append(DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}; it is used as it is now"))
     return notes
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from gbid.identify.result import FitResult
 from gbid.identify.status import FitStatus
+from gbid.notes.fit_notes import FitNote
 
 _GROWTH = 10.0
 """Largest growth of a model that counts as stable over a record, and that a shooting window may contain."""
@@ -110,11 +111,23 @@ def best_attempt(plan: Plan, begin: Start) -> FitResult:
             other = _shorter(plan, other)
         stable = "" if not plan.grows(other.rate) else ", and the plant is unstable as well"
         why = f"the start values are unstable{stable}: " if result is None else ""
-        found.append(_noted(other, f"{why}the fit began at values of a fit with a steady observer (Kalman filter)"))
+        found.append(
+            _noted(
+                other,
+                FitNote.BEGUN_ELSEWHERE(
+                    f"{why}the fit began at values of a fit with a steady observer (Kalman filter)"
+                ),
+            )
+        )
     good = [a for a in found if a.result is not None and a.result.success and not a.doubtful]
     if result is None and not good and plan.n_samples / _first(plan.bounded(first.rate)) < _MOST_WINDOWS:
         own = _in_turn(plan, begin, plan.bounded(first.rate), unstable=True)
-        found.append(_noted(own, "the start values are unstable: shooting windows were bounded by their growth"))
+        found.append(
+            _noted(
+                own,
+                FitNote.WINDOWS_CHANGED("the start values are unstable: shooting windows were bounded by their growth"),
+            )
+        )
     return _lowest([a for a in found if a.result is not None], plan, begin)
 
 
@@ -138,7 +151,7 @@ def _in_turn(plan: Plan, start: Start, windows: Sequence[int | None], *, unstabl
                 return made
             status = FitStatus.CONVERGED_GAIN_HELD if held.result.success else held.result.status
             note = "a free disturbance gain led to an almost unstable predictor: it is fixed at its start value"
-            return _noted(replace(held, result=replace(held.result, status=status)), note)
+            return _noted(replace(held, result=replace(held.result, status=status)), FitNote.GAIN_HELD(note))
     best = tried[-1]
     if best.result is not None and not best.result.success:
         best = min(tried, key=lambda a: a.result.loss if a.result and np.isfinite(a.result.loss) else np.inf)
@@ -146,7 +159,9 @@ def _in_turn(plan: Plan, start: Start, windows: Sequence[int | None], *, unstabl
         return best
     others = ", ".join(str(a.result.options.window) for a in tried if a.result and a is not best)
     length = best.result.options.window if best.result else None
-    return _noted(best, f"windows of {others} samples did not converge; this is the result with {length}")
+    return _noted(
+        best, FitNote.WINDOWS_CHANGED(f"windows of {others} samples did not converge; this is the result with {length}")
+    )
 
 
 def _shorter(plan: Plan, made: Attempt) -> Attempt:
@@ -162,7 +177,7 @@ def _shorter(plan: Plan, made: Attempt) -> Attempt:
     again = plan.attempt({**result.start, **own}, windows[0], False, True)
     if again.result is None or not (again.result.success or again.result.loss < result.loss):
         return made
-    return _noted(again, "the model is unstable: shooting windows were bounded by its growth")
+    return _noted(again, FitNote.WINDOWS_CHANGED("the model is unstable: shooting windows were bounded by its growth"))
 
 
 def _lowest(found: Sequence[Attempt], plan: Plan, begin: Start) -> FitResult:
@@ -176,11 +191,14 @@ def _lowest(found: Sequence[Attempt], plan: Plan, begin: Start) -> FitResult:
     best = min(converged, key=lambda pair: pair[1].loss) if converged else lowest
     notes: list[str] = []
     if best[1].loss > lowest[1].loss + _LOWER * abs(lowest[1].loss):
-        notes.append(f"another attempt ended lower, at a loss of {lowest[1].loss:.6g}, but did not converge")
+        text = f"another attempt ended lower, at a loss of {lowest[1].loss:.6g}, but did not converge"
+        notes.append(FitNote.OTHER_MINIMUM(text))
     if best[1].success and best[0].doubtful:
         notes.append(
-            "neighbouring residuals are strongly correlated: this may be a minimum that is not the lowest; try other "
-            "start values (fit_multistart)"
+            FitNote.OTHER_MINIMUM(
+                "neighbouring residuals are strongly correlated: this may be a minimum that is not the lowest; try "
+                "other start values (fit_multistart)"
+            )
         )
     return replace(best[1], notes=(*best[1].notes, *notes))
 

@@ -14,6 +14,7 @@ from gbid.errors import DataError, UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
+from gbid.notes.fit_notes import FitNote
 from gbid.recording import Recording
 from gbid.structure import AnyStructure
 
@@ -179,7 +180,7 @@ def _summary(results: Sequence[FitResult], seed: int) -> MultiStart:
     if not best.success and len(results) > 1:
         others = f"the smallest loss of a converged one is {good.min():.6g}" if len(good) else "none converged"
         note = f"this fit has the smallest loss of {len(results)} starts, but did not converge; {others}"
-        best = replace(best, notes=(*best.notes, note))
+        best = replace(best, notes=(*best.notes, FitNote.BEST_DID_NOT_CONVERGE(note)))
     return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread, minima)
 
 

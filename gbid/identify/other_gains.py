@@ -18,12 +18,15 @@ from gbid.identify.nlp.hessian import neighbours
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
+from gbid.notes.fit_notes import FitNote
 
 _STRONGLY = 0.5  # correlation of neighbouring errors
 _MOST_GAINS = 4  # 16 combinations of signs
 _ROUNDS = 3
-FOUND = "the criterion has several minima along the disturbance gain: this is the lowest of those met"
-SUSPECTED = (
+FOUND = FitNote.OTHER_MINIMUM(
+    "the criterion has several minima along the disturbance gain: this is the lowest of those met"
+)
+SUSPECTED = FitNote.OTHER_MINIMUM(
     "the criterion has several minima along the disturbance gain: another start did not converge to a lower one, but "
     "there may be one; try fit_multistart"
 )

@@ -22,6 +22,7 @@ from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined,
 from gbid.identify.uncertainty.model_spreads import model_spreads
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
+from gbid.notes.fit_notes import FitNote
 from gbid.structure import AnyStructure, NonlinearModel, Parameter, model_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
@@ -242,29 +243,34 @@ def _notes(
     coloured: bool,
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in free])
-    notes = [f"{name} lies on a bound: no standard deviation" for name in names[on_bound]]
+    notes = [FitNote.ON_BOUND(f"{name} lies on a bound: no standard deviation") for name in names[on_bound]]
     notes += not_determined(found.undetermined, names)
     if coloured:
         kind = "those of the bootstrap" if trusted == "bootstrap" else "the robust ones"
         notes.append(
-            f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
-            "structure itself",
+            FitNote.NOT_WHITE(
+                f"the residuals are not white: standard deviations are {kind}, and do not contain the error of the "
+                "structure itself"
+            )
         )
     if not np.isnan(found.flatness) and found.flatness < FLATTEST:
         notes.append(
-            "this is not a minimum of the criterion, or it is flat in some direction: standard deviations use the "
-            "Gauss-Newton curvature, and are too small; try other start values (fit_multistart)"
+            FitNote.NO_MINIMUM(
+                "this is not a minimum of the criterion, or it is flat in some direction: standard deviations use the "
+                "Gauss-Newton curvature, and are too small; try other start values (fit_multistart)"
+            )
         )
     if assembly.unused:
-        notes.append(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}")
+        notes.append(FitNote.NOT_USED(f"simulation focus does not use, set to 0: {', '.join(assembly.unused)}"))
         held = [name for name in assembly.unused if begin[name] != 0]
-        notes += [f"their start values were not used: {', '.join(held)}"] if held else []
+        notes += [FitNote.NOT_USED(f"their start values were not used: {', '.join(held)}")] if held else []
     return (*notes, *assembly.notes)
 
 
 def overflow_notes(points: int) -> tuple[str, ...]:
     """Return a note on the points at which the model overflowed, none for none."""
-    return (f"the model overflows at {points} of the points that the solver tried; it stepped back",) if points else ()
+    text = f"the model overflows at {points} of the points that the solver tried; it stepped back"
+    return (FitNote.OVERFLOWS(text),) if points else ()
 
 
 def _doubts(
@@ -282,10 +288,11 @@ def _doubts(
 def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
     if not any(problem.parts_at_edge(theta)):
         return ()
-    return (
+    text = (
         "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
-        "fix it (fixed=...) or use focus='simulation'",
+        "fix it (fixed=...) or use focus='simulation'"
     )
+    return (FitNote.PREDICTOR_AT_EDGE(text),)
 
 
 def _light_note(light: Reweighted | None) -> tuple[str, ...]:

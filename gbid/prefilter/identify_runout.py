@@ -10,6 +10,7 @@ from scipy.linalg import eigvalsh, solve
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
+from gbid.notes.data_notes import DataNote
 from gbid.prefilter.median import running_median
 from gbid.prefilter.runout import TURN, RunoutMap, differing_condition
 from gbid.prefilter.shaft import ShaftMotion, shaft_motion
@@ -89,7 +90,7 @@ def identify_runout(
     if turning == {False}:
         method = "mean"
         means = [values.mean(axis=0) for values in p]
-        notes.append("the shaft stood still: the map is the mean position alone")
+        notes.append(DataNote.SHAFT_STOOD_STILL("the shaft stood still: the map is the mean position alone"))
     elif method == "harmonics":
         orders = np.arange(1.0, harmonics + 1)
         means, cosine, sine = _fit_harmonics([m.angle for m in motions], p, orders)
@@ -132,7 +133,8 @@ def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
                 f"a run-out map needs piezos at rest (at most {still * 1e6:.2f} um)"
             )
     if not present:
-        notes.append(f"{rec.name}: neither r nor u is recorded, so it was not checked that the piezos were at rest")
+        text = f"{rec.name}: neither r nor u is recorded, so it was not checked that the piezos were at rest"
+        notes.append(DataNote.REST_NOT_CHECKED(text))
 
 
 def _fit_harmonics(

@@ -12,6 +12,7 @@ from gbid.arrays import FloatArray
 from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import NOT_STORED, Stored
+from gbid.notes.data_notes import DataNote
 from gbid.prefilter.median import running_median
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.shaft import shaft_motion
@@ -147,7 +148,8 @@ def prefilter(
         if any(counts):
             steps.append(f"{sum(counts)} spikes of {position} replaced")
     elif any(counts) and median == 1:
-        notes.append(f"{sum(counts)} spikes of {position} were found and left; spikes: true replaces them")
+        text = f"{sum(counts)} spikes of {position} were found and left; spikes: true replaces them"
+        notes.append(DataNote.SPIKES_LEFT(text))
     offsets = {name: values.mean(axis=0) * remove_mean for name, values in after.items()}
     if remove_mean:
         after = {name: values - offsets[name] for name, values in after.items()}
@@ -191,7 +193,7 @@ def _without_runout(
     except DataError as error:
         if not any_condition:
             raise
-        notes.append(str(error).split(";")[0])
+        notes.append(DataNote.OTHER_CONDITION(str(error).split(";")[0]))
     notes.extend(runout_map.notes)
     if not runout_map.needs_angle:
         return np.asarray(p - runout_map.mean)

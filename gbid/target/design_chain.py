@@ -10,6 +10,7 @@ from gbid.arrays import FloatArray
 from gbid.control import ControllerDesign, Scheduled
 from gbid.control.controllers.design import Point
 from gbid.errors import UsageError
+from gbid.notes.control_notes import ControlNote
 from gbid.operating_point import point_label
 from gbid.prefilter import RunoutMap
 from gbid.prefilter.align import refuse_lost_index
@@ -78,7 +79,8 @@ def chain_of(
                 refuse_lost_index(each, recording)
     notes: tuple[str, ...] = ()
     if table.error > TOLERANCE:
-        notes = (f"schedule: interpolation is off by up to {100 * table.error:.2g} % of an entry between nodes",)
+        text = f"schedule: interpolation is off by up to {100 * table.error:.2g} % of an entry between nodes"
+        notes = (ControlNote.INTERPOLATED(text),)
     plant = f", designed for {design.plant}" if design.plant else ""
     return Chain(
         name,

@@ -123,7 +123,7 @@ def test_one_axis_alone_agrees_with_a_straight_line():
         assert found.gain_std[output, 0] >= 0.999 * line.stderr
     assert np.isnan(found.gain[:, 1]).all()
     assert np.isnan(found.rms[:, 1]).all()
-    assert found.notes == ("no recording moves u_y, so its gains are not known",)
+    assert found.notes == ("no recording moves u_y, so its gains are not known [GB207]",)
 
 
 def test_intervals_cover_the_truth():

@@ -48,4 +48,5 @@ def test_without_a_home_folder_there_are_no_lines_of_other_libraries(spring, tmp
         timeout=120,
     )
     assert run.returncode == 0
-    assert [line.partition(" (")[0] for line in run.stderr.splitlines()] == ["report report.html: made"]
+    said = [line.partition(" (")[0] for line in run.stderr.splitlines()]
+    assert said == ["report report.html: made", f"next: gbid export {spring} --to matlab"]

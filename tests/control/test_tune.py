@@ -287,7 +287,7 @@ def test_an_unstable_open_loop_is_named() -> None:
     assert not moved.at(6, 0).is_stable()
     result = gbid.tune(moved, operating_points=ONE)
     assert result.success
-    assert result.notes[0] == "the open loop is not stable at 6 bar, 0 rpm"
+    assert result.notes[0] == "the open loop is not stable at 6 bar, 0 rpm [GB401]"
 
 
 @pytest.mark.parametrize(

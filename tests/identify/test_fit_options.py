@@ -594,7 +594,7 @@ def test_the_windows_that_were_tried_are_told():
     tried = {str(w) for w in (usual, shorter, longer)}
     others = set(note.removeprefix("windows of ").split(" samples")[0].split(", "))
     assert others | {str(result.options.window)} == tried
-    assert note.endswith(f"the result with {result.options.window}")
+    assert note.endswith(f"the result with {result.options.window} [GB113]")
     losses = {}
     for w in (usual, shorter, longer):
         alone = fit(MODE, rec, focus="simulation", start={"w": 9.0}, max_iterations=1, window=w)

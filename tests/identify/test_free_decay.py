@@ -84,7 +84,7 @@ def test_decay_of_a_structure_with_inputs():
     for result in (none, zero):
         assert [result.parameters[name] for name in TRUE] == pytest.approx([alone.parameters[n] for n in TRUE])
         assert [result.std[name] for name in TRUE] == pytest.approx([alone.std[n] for n in TRUE], rel=1e-6)
-    assert zero.notes == ("recording 'decay': input 'u' is 0 throughout, a free decay",)
+    assert zero.notes == ("recording 'decay': input 'u' is 0 throughout, a free decay [GB115]",)
 
 
 @pytest.mark.parametrize("options", [{"inputs": ()}, {}], ids=["no input", "zero input"])

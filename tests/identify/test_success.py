@@ -31,7 +31,7 @@ def test_an_unstable_start_is_moved_to_a_stable_one_and_said(start):
     assert result.success
     assert result.loss == pytest.approx(best.loss, rel=1e-6)
     assert result.notes[0] == (
-        "the start values are unstable: the fit began at values of a fit with a steady observer (Kalman filter)"
+        "the start values are unstable: the fit began at values of a fit with a steady observer (Kalman filter) [GB112]"
     )
     assert {result.start_origin[name] for name in start} == {"data"}
     assert np.linalg.eigvals(evaluate(problem.structure, result.start).A).real.max() < 0

@@ -62,7 +62,7 @@ def test_an_ordinary_fit_is_least_squares(fits):
         np.testing.assert_allclose(found.model.coefficients[name], expected, rtol=1e-6, atol=1e-9)
     held = found.model.parameters_at(5000.0)["d_s"]
     assert held == pytest.approx(np.mean([fit.parameters["d_s"] for fit in fits]))
-    assert found.notes[-1] == "held at the mean of the fits: k_s, d_s, d_t, b_s, b_t"
+    assert found.notes[-1] == "held at the mean of the fits: k_s, d_s, d_t, b_s, b_t [GB306]"
 
 
 def test_drawn_models_have_the_covariance_and_stay_within_the_bounds(fits):

@@ -274,7 +274,8 @@ def test_a_spike_in_u_is_no_movement_but_a_step_is():
     u[500, 0] = 5e-6
     assert identify_runout(rec.with_signals(u=u)).method == "harmonics"
     made = identify_runout(without(rec, "r", "u"))
-    assert made.notes == ("still: neither r nor u is recorded, so it was not checked that the piezos were at rest",)
+    text = "still: neither r nor u is recorded, so it was not checked that the piezos were at rest [GB202]"
+    assert made.notes == (text,)
 
 
 @pytest.mark.parametrize(

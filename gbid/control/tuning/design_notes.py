@@ -14,6 +14,7 @@ from gbid.control.tuning.search.loop_delay import smallest_sampled_damping
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.verify import distance_to_edge
+from gbid.notes.control_notes import ControlNote
 from gbid.operating_point import point_label
 from gbid.structure.linear import Structure
 
@@ -32,17 +33,20 @@ def notes_of(
     if design.lpv is None:
         labels = list(problem.families[0].labels)
     unstable = [label for label, rate in zip(labels, design.slowest, strict=True) if rate < 0]
-    notes: tuple[str, ...] = (f"the open loop is not stable at {'; '.join(unstable)}",) if unstable else ()
+    notes: tuple[str, ...] = ()
+    if unstable:
+        notes = (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
     notes += _edge_notes(problem, optimum, names)
     if sampling is not None and design.lpv is not None:
         gains = dict(zip(names, map(float, optimum.x), strict=True))
         truly, (P, Omega) = smallest_sampled_damping(
             design.lpv, structure, gains, sorted(points), sampling.sample_time, sampling.computation_s, sampling.method
         )
-        notes += (
+        text = (
             f"designed for sampling at {1e3 * sampling.sample_time:g} ms with {1e3 * sampling.computation_s:g} ms to "
-            f"compute; the sampled loop has a smallest damping factor of {truly:.3f}, at {point_label(P, Omega)}",
+            f"compute; the sampled loop has a smallest damping factor of {truly:.3f}, at {point_label(P, Omega)}"
         )
+        notes += (ControlNote.SAMPLED_LOOP(text),)
     return notes
 
 
@@ -74,4 +78,4 @@ def _edge_notes(problem: GainProblem, found: LocalOptimum, names: tuple[str, ...
     note = "damping alone was maximised: the peak of S_o is not limited"
     if np.isfinite(edge.change):
         note += f"; a change of {edge.gain} by {edge.change:+.2g} makes a loop unstable"
-    return (note,)
+    return (ControlNote.PEAK_NOT_LIMITED(note),)

@@ -26,6 +26,7 @@ from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.solving import solve
 from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
 from gbid.errors import UsageError
+from gbid.notes.control_notes import ControlNote
 
 
 def maximise_damping(
@@ -167,10 +168,12 @@ def summarise(
         status = GainStatus.ITERATION_LIMIT
     if not stable:
         status = GainStatus.NO_STABILISING_GAINS
-        notes = (*notes, f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}")
+        text = f"no gains within the bounds were found that stabilise {worst.where}: {_mode(worst)}"
+        notes = (*notes, ControlNote.NO_STABILISING_GAINS(text))
     elif score.violation > FEASIBLE:
         status = GainStatus.LIMITS_CONTRADICT
-        notes = (*notes, f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}")
+        text = f"no design was found that keeps all limits; this one exceeds them by {score.violation:.2g}"
+        notes = (*notes, ControlNote.LIMITS_EXCEEDED(text))
     if status is GainStatus.STALLED and certificate is not None:
         notes = (*notes, _stalled(certificate))
     more = {**_peaks(problem, x, stable), **_certificate(certificate), **more}
@@ -190,7 +193,7 @@ def summarise(
 
 
 def _stalled(certificate: Certificate) -> str:
-    return (
+    return ControlNote.NO_CERTIFICATE(
         "no certificate of optimality: to first order the objective would rise by "
         f"{100 * certificate.gain:.2g} % if the gains changed by their own size; sequential quadratic programmes, "
         "steps to meeting eigenvalues, BFGS, random moves and gradients from balls around it found no better one"

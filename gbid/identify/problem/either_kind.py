@@ -19,6 +19,7 @@ from gbid.identify.nonlinear.nonlinear_predictor import (
 )
 from gbid.identify.nonlinear.runner import choose_runner
 from gbid.identify.predictor import Focus, Predictor, build_predictor, noise_names
+from gbid.notes.fit_notes import FitNote
 from gbid.structure import AnyStructure, NonlinearStructure
 
 
@@ -94,14 +95,18 @@ def choose_kernel(wanted: EngineName, predictor: GeneralPredictor, begin: Mappin
     """
     if isinstance(predictor, NonlinearPredictor):
         kernel, name, note = choose_runner(wanted, predictor)
-        jumps = (
+        jumps = FitNote.JUMPS(
             f"the equations have jumps or kinks ({', '.join(predictor.jumps)}): the derivatives know only the pieces "
             "between them, so estimates of where they lie, and their standard deviations, are rough"
         )
-        return ChosenKernel(kernel, name, (*([note] if note else []), *([jumps] if predictor.jumps else [])))
+        return ChosenKernel(
+            kernel, name, (*([FitNote.SLOW_ENGINE(note)] if note else []), *([jumps] if predictor.jumps else []))
+        )
     assert isinstance(predictor, Predictor)
     theta = np.array([begin.get(q.name, 0.0) for q in predictor.free])
     nudged = np.where(theta == 0, 1e-3, theta * 1.001)  # a point where nothing is zero by chance
     nudged = np.clip(nudged, [q.lower for q in predictor.free], [q.upper for q in predictor.free])
     chosen = choose_engine(wanted, [predictor.at(theta), predictor.at(nudged)])
-    return ChosenKernel(LinearKernel(chosen.run), chosen.name, (chosen.note,) if chosen.note else ())
+    return ChosenKernel(
+        LinearKernel(chosen.run), chosen.name, (FitNote.SLOW_ENGINE(chosen.note),) if chosen.note else ()
+    )

@@ -10,6 +10,7 @@ import numpy as np
 
 from gbid.errors import DataError
 from gbid.identify.data import FitData
+from gbid.notes.fit_notes import FitNote
 from gbid.structure import AnyStructure, LinearStructure, NonlinearStructure, Parameter, anatomy
 
 
@@ -95,8 +96,10 @@ def check_inputs_suffice(
 def decay_notes(data: FitData) -> tuple[str, ...]:
     """Return notes on inputs that do not move in a recording: a fit takes it as it is."""
     return tuple(
-        f"recording {record.name!r}: input {name!r} is {column[0]:g} throughout, "
-        + ("a free decay" if column[0] == 0 else "a constant force")
+        FitNote.STEADY_INPUT(
+            f"recording {record.name!r}: input {name!r} is {column[0]:g} throughout, "
+            + ("a free decay" if column[0] == 0 else "a constant force")
+        )
         for record in data.records
         for name, column in zip(data.input_names, record.inputs.T, strict=True)
         if np.ptp(column) == 0

@@ -13,6 +13,7 @@ from gbid.identify.data import FitData
 from gbid.identify.problem.undriven import without_inputs
 from gbid.identify.start.start_values import has_own_method, start_values
 from gbid.identify.start.subspace_start import SubspaceStart, subspace_start
+from gbid.notes.fit_notes import FitNote
 from gbid.structure import Parameter
 
 _POOR = 0.3  # smallest misfit of a match that may lead to a wrong minimum
@@ -96,4 +97,5 @@ def _note(found: SubspaceStart, missing: Sequence[str]) -> str:
         f"start values of {listed}: from the data, by a subspace model with {found.order} states; the structure "
         f"explains {100 * (1 - found.misfit):.1f} % of its response"
     )
-    return f"{note}; that is little: try fit_multistart" if found.misfit > _POOR else note
+    doubt = "; that is little: try fit_multistart" if found.misfit > _POOR else ""
+    return FitNote.STARTS_FROM_DATA(f"{note}{doubt}")

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.identify.uncertainty.covariance import Covariance
 from gbid.identify.uncertainty.error_model import ErrorModel
+from gbid.notes.fit_notes import FitNote
 
 _INVOLVED = 0.1  # smallest share of a parameter in a direction, of the largest share, for which it is named
 _PEAK = 5.0  # power of the errors at the frequency of a mode, over their mean power, for which they hide its motion
@@ -25,15 +26,17 @@ _MOST_DIRECTIONS = 3  # largest number of undetermined directions that are liste
 def not_determined(directions: FloatArray, names: npt.NDArray[np.str_]) -> list[str]:
     """Return notes on directions (n_directions, n) without information: their parameters, and what is determined."""
     if len(directions) > _MOST_DIRECTIONS:
-        return [f"the information is singular in {len(directions)} directions: no standard deviations"]
+        text = f"the information is singular in {len(directions)} directions: no standard deviations"
+        return [FitNote.NOT_DETERMINED(text)]
     notes = []
     for direction in directions:
         strong = np.flatnonzero(np.abs(direction) > _INVOLVED * np.abs(direction).max())
         involved = ", ".join(names[strong])
         if len(strong) == 1:
-            notes.append(f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)")
+            text = f"the data do not determine {involved}: its input or state is not excited; fix it (fixed=...)"
         else:
-            notes.append(f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)")
+            text = f"the data do not determine {involved} separately, only a combination; fix one (fixed=...)"
+        notes.append(FitNote.NOT_DETERMINED(text))
     return notes
 
 
@@ -75,18 +78,19 @@ def hardly_determined(values: FloatArray, white: FloatArray, names: npt.NDArray[
         involved = names[own[strong]]
         times = float((sigma[own] / size)[strong].max())
         if len(involved) == 1:
-            notes.append(
+            text = (
                 f"the data leave even the sign of {involved[0]} open: its standard deviation for white errors is "
                 f"{times:.2g} times its size"
             )
         else:
             step = direction[strong] * size[strong]
             along = " : ".join(f"{part:.2g}" for part in step / step[np.argmax(np.abs(direction[strong]))])
-            notes.append(
+            text = (
                 f"the data leave even the sign of {', '.join(involved)} open: their standard deviations for white "
                 f"errors are up to {times:.2g} times their sizes, along {along}; fix one (fixed=...), or state "
                 "what is known (prior=...)"
             )
+        notes.append(FitNote.SIGN_OPEN(text))
     return notes
 
 
@@ -98,11 +102,12 @@ def far_below_white(found: Covariance, names: npt.NDArray[np.str_]) -> list[str]
     low = np.flatnonzero(np.isfinite(ratio) & (white > 0) & (ratio < _FAR_BELOW))
     if not len(low):
         return []
-    return [
+    text = (
         f"standard deviations far below those for white errors (down to {float(ratio[low].min()):.2g} of them): "
         f"{', '.join(names[low])}; they hold only if the errors have hardly any power where these parameters act, as "
         "the residuals say; std_with('white') is the careful choice"
-    ]
+    )
+    return [FitNote.FAR_BELOW_WHITE(text)]
 
 
 def may_cover_less(
@@ -142,9 +147,10 @@ def may_cover_less(
             for model, mean in zip(coloured, power, strict=True)
         ]
         if decays < _DECAYS and max(peaks, default=0.0) > (1.0 if decays < _HARDLY_ONE else _PEAK):
-            told.append(
+            text = (
                 f"intervals may contain the truth less often than they state: at the mode of {frequency:.3g} Hz the "
                 f"errors have {max(peaks):.2g} times their mean power, and the recordings last {decays:.2g} of its "
                 "times of decay; record longer, or free a disturbance gain"
             )
+            told.append(FitNote.MAY_COVER_LESS(text))
     return told

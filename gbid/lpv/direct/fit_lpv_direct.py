@@ -33,6 +33,7 @@ from gbid.lpv.surface_fit.order import lack_of_fit
 from gbid.lpv.surface_fit.outliers import outliers, standardised
 from gbid.lpv.surface_fit.regression import in_own_units
 from gbid.lpv.surface_fit.terms import distinct_points
+from gbid.notes.model_notes import SurfaceNote
 from gbid.operating_point import point_label
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure, as_names
@@ -143,7 +144,8 @@ def fit_lpv_direct(
     }
     notes = [*solved.gains.notes, ended] if ended else list(solved.gains.notes)
     if scatter and not ended and solved.solution.status.success and moved.max() >= _SETTLED:
-        notes.append(f"after {_ROUNDS} rounds the coefficients still moved by {moved.max():.2g} standard deviations")
+        text = f"after {_ROUNDS} rounds the coefficients still moved by {moved.max():.2g} standard deviations"
+        notes.append(SurfaceNote.NOT_SETTLED(text))
     names = tuple(record.name for record in data.records)
     result = _result(start, setting, names, solved, found, scatter=scatter)
     return replace(

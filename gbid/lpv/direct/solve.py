@@ -20,6 +20,7 @@ from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
 from gbid.lpv.direct.gains import Gains
 from gbid.lpv.direct.setting import Setting
+from gbid.notes.model_notes import SurfaceNote
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,9 +133,10 @@ def solve_for(
     notes = list(gains.notes)
     if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
         if given_up:
-            notes.append("free disturbance gains did not converge: all are fixed at their start values")
+            text = "free disturbance gains did not converge: all are fixed at their start values"
         else:
-            notes.append(f"disturbance gain fixed at zero where it made the predictor unstable: {', '.join(near)}")
+            text = f"disturbance gain fixed at zero where it made the predictor unstable: {', '.join(near)}"
+        notes.append(SurfaceNote.GAIN_HELD(text))
     if given_up and solution.status.success:
         solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
     ended = [

@@ -19,6 +19,7 @@ from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.lpv.surface_fit.regression import Weighting, regression
 from gbid.lpv.surface_fit.scheduled_fit import ScheduledFit, fit_scheduled
 from gbid.lpv.surface_fit.terms import Exponents, Order, distinct_points
+from gbid.notes.model_notes import SurfaceNote
 from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
@@ -189,8 +190,10 @@ def _impossible(model: LPVModel) -> tuple[str, ...]:
     pressure, speed = (side.ravel() for side in grid)
     found = model.key_parameters(pressure, speed)
     return tuple(
-        f"{key} is negative in part of the domain, {1e3 * found[key][at]:.3g} ms at "
-        f"{point_label(pressure[at], speed[at])}; the model cannot be used there"
+        SurfaceNote.NEGATIVE_DELAY(
+            f"{key} is negative in part of the domain, {1e3 * found[key][at]:.3g} ms at "
+            f"{point_label(pressure[at], speed[at])}; the model cannot be used there"
+        )
         for key in ("tau_x", "tau_y")
         if found[key][at := int(np.argmin(found[key]))] < 0
     )

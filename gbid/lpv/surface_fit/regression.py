@@ -28,6 +28,7 @@ from gbid.lpv.surface_fit.terms import (
     term_name,
     varying_exponents,
 )
+from gbid.notes.model_notes import SurfaceNote
 from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]
@@ -144,7 +145,11 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
     elif weighting == "scatter":
         mixed = with_scatter(y, X, C)
         coefficients, S, clipped, V = mixed.coefficients, mixed.scatter, y, C + mixed.scatter
-        notes = () if mixed.settled else (f"the scatter had not settled after {mixed.steps} steps",)
+        notes = (
+            ()
+            if mixed.settled
+            else (SurfaceNote.NOT_SETTLED(f"the scatter had not settled after {mixed.steps} steps"),)
+        )
     else:
         coefficients, clipped = generalised(y, X, V).coefficients, y
     if weighting == "scatter":
@@ -191,12 +196,14 @@ def _with_covariance(estimates: Estimates) -> Estimates:
 
 
 def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
-    notes = [f"left out: {entry}" for entry in estimates.left_out]
+    notes = [SurfaceNote.LEFT_OUT(f"left out: {entry}") for entry in estimates.left_out]
     names = estimates.parameters
     off = [key for key, p in zip(names, missed, strict=True) if p < _MISSED / len(names)]
     if off:
         notes.append(
-            f"the surfaces miss the means of operating points by more than recordings scatter: {', '.join(off)}; "
-            "the standard deviations do not contain this lack of fit"
+            SurfaceNote.LACK_OF_FIT(
+                f"the surfaces miss the means of operating points by more than recordings scatter: {', '.join(off)}; "
+                "the standard deviations do not contain this lack of fit"
+            )
         )
     return tuple(notes)

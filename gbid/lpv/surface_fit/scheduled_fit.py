@@ -19,6 +19,7 @@ from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
 from gbid.lpv.surface_fit.regression import Weighting, regression
 from gbid.lpv.surface_fit.terms import Order, distinct_points
+from gbid.notes.model_notes import SurfaceNote
 from gbid.structure.linear import Structure
 
 
@@ -192,7 +193,7 @@ def fit_scheduled(
         fits[0].model.output_names,
     )
     varied = [key for key in held if any(key in fit.free for fit in fits)]
-    notes = [f"held at the mean of the fits: {', '.join(varied)}"] if varied else []
+    notes = [SurfaceNote.HELD_AT_MEAN(f"held at the mean of the fits: {', '.join(varied)}")] if varied else []
     return ScheduledFit(
         model,
         found.covariance,

@@ -29,6 +29,7 @@ from gbid.control.impact.ringdown.ringdown_result import RingDown, RingDownStatu
 from gbid.control.impact.ringdown.separable import RingProblem, SeparableFit
 from gbid.control.impact.ringdown.start import start_candidates
 from gbid.errors import DataError, UsageError
+from gbid.notes.control_notes import ControlNote
 from gbid.recording import Recording
 
 
@@ -198,16 +199,21 @@ def _result(
         slope = np.column_stack([(two_modes(theta + s, scale) - two_modes(theta - s, scale)) / 2e-6 for s in steps])
         spread = slope @ covariance @ slope.T
     std = np.sqrt(np.diag(spread))
-    notes: tuple[str, ...] = () if solved.converged else (f"the solver stopped: {solved.message}",)
+    notes: tuple[str, ...] = (
+        () if solved.converged else (ControlNote.SOLVER_STOPPED(f"the solver stopped: {solved.message}"),)
+    )
     doubles = sum(impact.pulses > 1 for impacts in found for impact in impacts)
     if doubles:
-        notes = (*notes, f"{doubles} double hit(s); the free response is taken from the end of the last pulse")
+        text = f"{doubles} double hit(s); the free response is taken from the end of the last pulse"
+        notes = (*notes, ControlNote.DOUBLE_HIT(text))
     further = oscillations(problem)
     if len(further):
         words = ", ".join(f"{f:.0f} Hz with damping {z:.2f}" for f, z in further)
-        notes = (*notes, f"the response rings in more than two modes; fitted beside them as decays at {words}")
+        text = f"the response rings in more than two modes; fitted beside them as decays at {words}"
+        notes = (*notes, ControlNote.FURTHER_MODES(text))
     if status is RingDownStatus.CONVERGED and std[0] + std[2] > modes[2] - modes[0]:
-        notes = (*notes, "the frequencies differ by less than their uncertainty: which mode is which is not certain")
+        text = "the frequencies differ by less than their uncertainty: which mode is which is not certain"
+        notes = (*notes, ControlNote.MODES_ALIKE(text))
     return RingDown(
         modes[::2],
         modes[1::2],
