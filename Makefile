@@ -9,7 +9,7 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
 
-.PHONY: run paper test test-quick lint types imports unit test-slow mutants bench docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow mutants fuzz bench docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -61,9 +61,9 @@ test-quick: $(VENV)/.installed-test  ## style, layers, and the tests of the hear
 test-slow: $(VENV)/.installed-test  ## the long studies
 	$(BIN)/pytest -m slow -s
 
-mutants: $(VENV)/.installed-test  ## how many small faults of the source the tests notice; takes an hour
-	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
-	$(BIN)/python -m benchmarks.mutants --jobs $(JOBS)
+fuzz: $(VENV)/.installed-test  ## damaged files of all kinds for an hour; MINUTES=, COUNT=, SEED=, JOBS=, REPLAY=SEED/NUMBER, FIGURES= or AGAIN=docs/fuzz.json
+	PYTHONPATH=$(CURDIR):$(CURDIR)/tests/support $(BIN)/python -m fuzzing --jobs $(JOBS) $(if $(MINUTES),--minutes $(MINUTES)) \
+		$(if $(COUNT),--count $(COUNT)) $(if $(SEED),--seed $(SEED)) $(if $(REPLAY),--replay $(REPLAY)) $(if $(FIGURES),--output $(FIGURES)) $(if $(AGAIN),--again $(AGAIN))
 
 # A fit that did not converge (exit code 4) is left out of what follows and named there.
 PAPER := experiments/theisen2016.yaml

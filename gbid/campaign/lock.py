@@ -85,5 +85,5 @@ def _owner(path: Path) -> str:
     try:
         found = json.loads(path.read_text(encoding="utf-8"))
         return f" (process {found['process']} on {found['host']}, since {found['since']})"
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return ""

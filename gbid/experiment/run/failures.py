@@ -62,7 +62,7 @@ def remembered_failure(job: Job, task: Task) -> Failure | None:
         text = failure_path(job, task.stage, task.item).read_text(encoding="utf-8")
         found = json.loads(text)
         failure = Failure(*(str(found[name]) for name in ("key", "cause", "text", "details")))  # type: ignore[arg-type]
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
     return failure if failure.key == task.key and failure.cause in get_args(Cause) else None
 

@@ -1,6 +1,7 @@
 """`make fuzz`: many mutated files, read in processes that are watched; prints and writes the figures.
 
-Each input follows from the seed and its number, so that it can be made again: ``--replay SEED/NUMBER``.
+Each input follows from the seed and its number, so that it can be made again: ``--replay SEED/NUMBER``. Files of gbid
+contain the time of their writing; only in this does an input differ when it is made again.
 """
 
 from __future__ import annotations
@@ -48,6 +49,7 @@ def main() -> int:
     parser.add_argument("--only", default="", help="part of the name of the targets")
     parser.add_argument("--output", type=Path, default=None, help="JSON file for the figures")
     parser.add_argument("--replay", default="", help="SEED/NUMBER of one input to read again")
+    parser.add_argument("--again", type=Path, default=None, help="figures whose faults are read again, once mended")
     given = parser.parse_args()
     targets = [target for target in fuzz_targets() if given.only in target.name]
     if given.replay:
@@ -58,6 +60,8 @@ def main() -> int:
             if given.output:
                 given.output.write_bytes(content)
         return 0
+    if given.again:
+        return _read_again(targets, given.again)
     npz_bomb()  # once, for all workers
     seed = int(time.time()) if given.seed is None else given.seed
     until = time.monotonic() + 60 * (given.minutes if given.minutes is not None else 1e9 if given.count else 60)
@@ -68,6 +72,28 @@ def main() -> int:
     if given.output:
         given.output.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
     return int(bool(document["faults"]))
+
+
+def _read_again(targets: list[FuzzTarget], figures: Path) -> int:
+    """Read the faults of a run again, count them as what they are now, and keep what they were."""
+    document = json.loads(figures.read_text(encoding="utf-8"))
+    remaining, mended = [], document.setdefault("mended", [])
+    for fault in document["faults"]:
+        target, content = made_input(targets, *map(int, fault["input"].split("/")))
+        with tempfile.TemporaryDirectory() as folder:
+            tried = try_input(target, content, Path(folder))
+        for counts in (document["outcomes"], document["targets"][target.name]):
+            counts[fault["outcome"]] -= 1
+            counts[tried.outcome.value] = counts.get(tried.outcome.value, 0) + 1
+        if tried.outcome in FAULTS:
+            remaining.append({**fault, "outcome": tried.outcome.value, "text": tried.text[-1500:]})
+        else:
+            mended.append(
+                {"input": fault["input"], "target": target.name, "was": fault["outcome"], "is": tried.outcome.value}
+            )
+    document["faults"] = remaining
+    figures.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    return int(bool(remaining))
 
 
 class FuzzRun:
@@ -155,8 +181,9 @@ class FuzzRun:
     def _note(self, number: int, tried: TriedInput) -> None:
         name = choose(self._targets, Random(f"{self._seed}/{number}")).name
         self._counts[name][tried.outcome.value] += 1
-        self._slowest, self._largest = max(self._slowest, tried.seconds), max(self._largest, tried.growth)
-        if tried.outcome in FAULTS:
+        if tried.outcome not in FAULTS:
+            self._slowest, self._largest = max(self._slowest, tried.seconds), max(self._largest, tried.growth)
+        else:
             again = f"{self._seed}/{number}"
             fault = {"input": again, "target": name, "outcome": tried.outcome.value, "text": tried.text[-1500:]}
             self._faults.append(fault)

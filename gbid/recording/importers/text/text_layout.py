@@ -17,9 +17,9 @@ COMMENTS = ("#", "%", "//")
 _TAIL, _SPREAD = 20, 300  # lines at the end that show the columns; lines over the whole file that show the decimal sign
 _DESCRIBED = 4  # largest number of lines below the names within which a line of units is looked for
 _MOST = 0.75  # share of the cells of a column that are numbers, where the column is one of numbers
-_DIGITS = {
-    ".": re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
-    ",": re.compile(r"[-+]?(?:\d+,?\d*|,\d+)(?:[eEdD][-+]?\d+)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
+_DIGITS = {  # digits are not given back (++): else a long cell that is no number takes the square of its length
+    ".": re.compile(r"[-+]?(?:\d++\.?\d*+|\.\d++)(?:[eEdD][-+]?\d++)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
+    ",": re.compile(r"[-+]?(?:\d++,?\d*+|,\d++)(?:[eEdD][-+]?\d++)?|[-+]?(?:nan|inf|infinity)", re.IGNORECASE),
 }
 
 
