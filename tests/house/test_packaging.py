@@ -13,7 +13,7 @@ WHEEL = PROJECT["tool"]["hatch"]["build"]["targets"]["wheel"]
 
 def test_every_experiment_is_in_the_wheel_and_no_result_of_one():
     included = WHEEL["force-include"]
-    files = {p.relative_to(ROOT) for p in (ROOT / "experiments").rglob("*") if p.suffix in (".yaml", ".py")}
+    files = {p.relative_to(ROOT) for p in (ROOT / "experiments").rglob("*") if p.suffix in (".yaml", ".py", ".csv")}
     own = {str(p) for p in files if not {"results", "__pycache__"} & set(p.parts)}
     assert {source for source in included if source.startswith("experiments")} == own
     for source, target in included.items():

@@ -235,20 +235,32 @@ class NonlinearModel(Brief):
 
     @cached_property
     def _step_without(self) -> ca.Function:
-        return self._step(fed=False)
+        return self.step_function()
 
     @cached_property
     def _step_with(self) -> ca.Function:
-        return self._step(fed=True)
+        return self.step_function(feeds_back=True)
 
-    def _step(self, *, fed: bool) -> ca.Function:
-        """Return the step over one sample: ``(x, u, u_next, y, p, h)`` to the next state and the output."""
+    def step_function(self, *, feeds_back: bool = False) -> ca.Function:
+        """Return the discretised equations as a ``casadi.Function``: the model over one sample.
+
+        Parameters
+        ----------
+        feeds_back : bool
+            Whether the disturbance gain feeds the error of the measured outputs back: the one-step predictor.
+
+        Returns
+        -------
+        casadi.Function
+            ``(x, u, u_next, y, p, h)`` to the next state and the output: inputs at both ends of the sample, measured
+            outputs, parameters in the order of the structure, and the sample time [s].
+        """
         n, n_u, n_y = self.n_states, len(self.input_names), len(self.output_names)
         x, u, last, y, p, h, e, a, b = _symbols(n, n_u, n_u, n_y, len(self.parameters), 1, n_y, n, n_u)
         f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ e], {"allow_free": True})
         sub = ca.Function("sub", [x, u, last, e, p, h], [one_step(self.integrator, f, x, (u, last), h)])
         output = self.function(x, u, p)[1]
-        error = y - output if fed else ca.SX.zeros(n_y)
+        error = y - output if feeds_back else ca.SX.zeros(n_y)
         at = x
         for i in range(self.steps):
             between = [u + (last - u) * (j / self.steps) for j in (i, i + 1)]
