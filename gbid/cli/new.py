@@ -21,13 +21,21 @@ class Template(StrEnum):
     """Templates of experiments."""
 
     quickstart = "quickstart"
+    gas_bearing = "gas-bearing"
+    one_speed = "one-speed"
+    one_point = "one-point"
     own_recordings = "own-recordings"
+    magnetic_bearing = "magnetic-bearing"
     theisen2016 = "theisen2016"
 
 
 ABOUT = {
     Template.quickstart: "the virtual rig at one operating point: recordings, prefilter, fits, validation, figures",
+    Template.gas_bearing: "a gas bearing at six operating points: fits, surfaces over pressure and speed, a controller",
+    Template.one_speed: "a gas bearing at one speed: surfaces over the pressure alone, a controller",
+    Template.one_point: "a gas bearing at one operating point: a constant model, a controller",
     Template.own_recordings: "example data in csv and a structure in Python, to be replaced by your own",
+    Template.magnetic_bearing: "a magnetic bearing in its loop: example data in csv, a structure in Python",
     Template.theisen2016: "the campaign of the paper on the virtual rig: 86 recordings at 15 operating points",
 }
 """Contents of each template."""

@@ -9,17 +9,20 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
-
+from gbid.cli.example_data import write_example_data, write_held_bearing
 from gbid.errors import DataError, UsageError
 from gbid.experiment.json_schema import experiment_json_schema
 from gbid.share import share_folder
-from gbid.structure import LinearModel
 
 SCHEMA = "experiment.schema.json"
 """Name of the schema file beside an experiment; an editor completes and checks keys with it."""
 
 EXPERIMENT = "experiment.yaml"
+_EXAMPLES = {
+    "own_recordings": (write_example_data, ""),
+    "magnetic_bearing": (write_held_bearing, "magnetic_bearing.py"),
+}
+"""Writer of the example data of each template with data, and the file of ``models`` that it takes along."""
 
 
 def write_template(template: str, folder: Path) -> list[Path]:
@@ -74,9 +77,11 @@ def _copy(source: Path, part: Path) -> None:
         if file.suffix in (".yaml", ".py"):
             shutil.copyfile(file, part / file.name)
     (part / "data").mkdir()
-    write = _EXAMPLE_DATA[source.name]
+    write, model = _EXAMPLES[source.name]
     for seed in (1, 2):
         write(part / "data" / f"run{seed}.csv", seed)
+    if model:
+        shutil.copyfile(share_folder("models") / model, part / model)
 
 
 def refuse_used(folder: Path) -> None:
@@ -119,36 +124,3 @@ def _add_schema(folder: Path) -> None:
     experiment = folder / EXPERIMENT
     text = experiment.read_text(encoding="utf-8")
     experiment.write_text(f"# yaml-language-server: $schema={SCHEMA}\n{text}", encoding="utf-8")
-
-
-def write_example_data(path: Path, seed: int, n_samples: int = 4000, sample_time: float = 5e-4) -> None:
-    """Write a CSV file like that of a data logger: a mass on a spring, 40 Hz, damping factor 0.05, random input.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    seed : int
-        Seed of the random numbers.
-    n_samples : int
-        Number of samples.
-    sample_time : float
-        Time between samples [s].
-    """
-    random = np.random.default_rng(seed)
-    omega = 2 * np.pi * 40.0
-    model = LinearModel(
-        np.array([[0.0, 1.0], [-(omega**2), -2 * 0.05 * omega]]),
-        np.array([[0.0], [2.0]]),
-        np.array([[1.0, 0.0]]),
-        np.array([[0.0]]),
-    )
-    volt = np.repeat(random.choice([-1.0, 1.0], size=-(-n_samples // 8)), 8)[:n_samples]
-    metre = model.simulate(volt[:, None], sample_time)[:, 0] + 2e-7 * random.standard_normal(n_samples)
-    time = 1e3 * sample_time * np.arange(n_samples)
-    rows = np.column_stack([time, volt, 1e6 * metre])
-    np.savetxt(path, rows, delimiter=",", header="time [ms],drive [V],position [um]", comments="", fmt="%.6g")
-
-
-_EXAMPLE_DATA = {"own_recordings": write_example_data}
-"""Writer of the example data of each template with data."""

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from experiment_files import gbid
 
+from gbid import load_fit
 from gbid.cli import new
 from gbid.experiment.draft.channel_roles import find_roles
 from gbid.experiment.draft.name_reading import read_names
@@ -133,3 +134,14 @@ def test_names_of_several_forms_have_no_pattern():
     )
     assert read_names(["p5.csv", "q_5.csv"]) is None
     assert read_names(["p5,5.csv", "p6.csv"]).read("p5,5.csv") == {"pressure_bar": 5.5}
+
+
+def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):
+    experiment = tmp_path / "held" / "experiment.yaml"
+    assert gbid("new", experiment.parent, "--template", "magnetic-bearing") == 0
+    assert gbid("import", experiment, "--engine", "serial") == 0
+    assert gbid("fit", experiment, "--engine", "serial") == 0
+    for run in ("run1", "run2"):
+        fit = load_fit(experiment.parent / "results" / "magnetic_bearing" / "fits" / "bearing" / f"{run}.h5")
+        for name, true in (("k_s", 4e4), ("k_i", 60.0)):
+            assert abs(fit.parameters[name] - true) < 4 * fit.std[name] < 0.1 * true
