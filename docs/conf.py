@@ -29,7 +29,7 @@ release = version = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx_copybutton"]
 html_static_path = ["_static"]
-mathjax_path = "mathjax/tex-svg.js"  # MathJax 3.2.2 with its letters in one file: formulas need no network
+mathjax_path = "mathjax/tex-svg-full.js"  # MathJax 3.2.2 with letters and extensions in one file: no network
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = False
 copybutton_selector = "div.highlight:not(.cell_output *) pre"
