@@ -6,7 +6,7 @@ from scipy.linalg import toeplitz
 from scipy.signal import lfilter
 
 from gbid.identify.uncertainty.error_model import ErrorModel, error_model, lag_products, longest_order
-from gbid.identify.uncertainty.score_covariance import score_covariance
+from gbid.identify.uncertainty.score_covariance import _joined, score_covariance
 from gbid.identify.uncertainty.sensitivities import RecordSensitivities
 
 COUPLED = np.array([[[0.6, 0.3], [-0.2, 0.5]], [[-0.3, 0.0], [0.1, -0.2]]])
@@ -109,6 +109,14 @@ def test_the_covariance_of_the_gradient_is_the_sum_over_all_pairs_of_samples(lef
     expected = np.einsum("kam,kalb,lbn->mn", weighted, covariance_of_errors(model, 700), weighted, optimize=True)
     np.testing.assert_allclose(total[np.ix_([0, 2, 3], [0, 2, 3])], expected, rtol=1e-7)
     assert (total[1] == 0).all()  # an unknown of another record
+
+
+def test_feedback_of_errors_leaves_a_tenth_at_least():
+    linear, change = np.diag([2.0, 4.0]), np.diag([-1.0, -8.0])
+    np.testing.assert_allclose(_joined(np.array([linear, change]), np.eye(2)), np.diag([1.0, 0.4]), rtol=1e-9)
+    np.testing.assert_array_equal(_joined(np.array([linear, 0 * change]), np.eye(2)), linear)
+    with pytest.raises(np.linalg.LinAlgError, match="overflows"):
+        _joined(np.array([[[np.inf]], [[-1.0]]]), np.eye(1))
 
 
 def test_records_of_different_noise_add_up():

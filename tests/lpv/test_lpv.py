@@ -188,6 +188,7 @@ def test_coefficients_are_checked(model: LPVModel) -> None:
         replace(model, coefficients={**model.coefficients, "k_zz": (0.0,) * 6})
     with pytest.raises(UsageError, match=r"p1_y = -1\.0; give a finite number, poles positive"):
         replace(model, actuators={**model.actuators, "p1_y": -1.0})
+    assert replace(model, actuators={**model.actuators, "p1_y": 0.5}).actuators["p1_y"] == 0.5
 
 
 def test_a_model_without_actuators(model: LPVModel) -> None:
@@ -202,6 +203,9 @@ def test_domain_checks_itself() -> None:
         Domain((3, 7), (5, 1))
     assert Domain((3, 7), (0, 0)).contains(3, [0, 0])
     assert not Domain((3, 7), (0, 0)).contains([3, np.nan], 0)
+    wide = Domain((3, 7), (0, 6000))
+    assert wide.contains([3, 5, 7], [0, 3000, 6000])
+    assert [wide.contains(P, n) for P, n in ((2.9, 3000), (7.1, 3000), (5, -1), (5, 6001))] == [False] * 4
 
 
 def test_pickle(model: LPVModel) -> None:

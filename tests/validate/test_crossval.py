@@ -8,7 +8,7 @@ from fit_cases import EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, levels, piezo_
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gbid.errors import DataError
+from gbid.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.recording import Recording
 from gbid.structure import RotorBearing, evaluate
@@ -160,6 +160,12 @@ def test_another_number_of_channels_is_refused(model, widths, text):
     signals = {name: levels(200, width) for name, width in zip("uy", widths, strict=True)}
     with pytest.raises(DataError, match=text):
         cross_validate(model, Recording(signals, H, name="wide"))
+
+
+def test_the_order_of_other_programs_is_named(model):
+    recording = Recording({"u": np.ones((9, 1)), "y": np.ones((9, 1))}, H, name="data")
+    with pytest.raises(UsageError, match=r"recording 'data'; .* other way round: cross_validate\(result, recording\)"):
+        cross_validate(recording, model)
 
 
 def test_a_model_that_overflows_is_refused(model):
