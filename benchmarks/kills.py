@@ -19,6 +19,9 @@ At the end of each campaign:
 - twice: results that were complete at a kill, with the content key that they have at the end, and were written again.
 - left: temporary files and locks.
 
+In a fifth of the campaigns of `run`, `report` and `figures` the first command may write no file larger than a few ten
+kilobytes, as on a full disk: it must end with code 3, and the next one must go on.
+
 In every other campaign the clock goes backwards: the times of the files are set years back or ahead after a kill, and
 the command that follows is told a time that runs backwards.
 """
@@ -31,6 +34,7 @@ import io
 import json
 import os
 import random
+import resource
 import shutil
 import signal
 import sys
@@ -38,7 +42,7 @@ import tempfile
 import time
 import traceback
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -49,6 +53,7 @@ _MARK = "GBID_KILL_STUDY"
 _PATIENCE = 2.0  # time after which a process of a killed command is an orphan [s]
 _LONGEST = 300.0  # time after which a command counts as hanging [s]
 _SIGNALS = (signal.SIGKILL,) * 7 + (signal.SIGTERM, signal.SIGINT, signal.SIGHUP)
+_FULL = 0.2  # share of campaigns whose first command meets a limit on the size of files
 _YEARS = 10 * 365.25 * 86400
 
 _IMPORTED = """\
@@ -68,8 +73,6 @@ crossval:
 _CONTROLLER = """\
 controller:
   small: {structure: P, model: theisen2016, operating_points: [{pressure_bar: 6.0, speed_rpm: 0.0}], starts: 2}
-figures:
-  spring: {from_s: 0.1, to_s: 0.2}
 """
 _STRUCTURE = """\
 import gbid
@@ -91,6 +94,7 @@ class Tally:
     kills: int = 0
     campaigns: int = 0
     clocks: int = 0
+    full: int = 0
     lost: int = 0
     twice: int = 0
     orphans: int = 0
@@ -127,10 +131,16 @@ def write_experiment(folder: Path, count: int, more: str) -> Path:
     return path
 
 
-def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = False) -> int:
-    """Return the process id of a command line, as a fork of this process in a session of its own."""
+def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = False, largest: int = 0) -> int:
+    """Return the process id of a command line, as a fork of this process in a session of its own.
+
+    With `backwards` its clock runs backwards; with `largest` it may write no file of more bytes.
+    """
+    blocked = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+    signal.pthread_sigmask(signal.SIG_BLOCK, blocked)  # Python ignores what is raised within its functions at a fork
     process = os.fork()
     if process:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
         return process
     code = 70
     try:
@@ -141,9 +151,12 @@ def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = Fals
         sys.stdout, sys.stderr = (os.fdopen(os.dup(number), "w") for number in (1, 2))
         os.environ[_MARK] = mark
         signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, blocked)
         if backwards:
             now, began = time.time() - _YEARS, time.monotonic()
             time.time = lambda: now - 100 * (time.monotonic() - began)  # type: ignore[assignment]
+        if largest:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
         from gbid.cli.main import app
 
         app(list(arguments), prog_name="gbid")
@@ -260,9 +273,11 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
     seen: dict[str, tuple[str, int, int]] = {}
     for attempt in range(1000):
         mark = f"{os.getpid()}-{folder.name}-{attempt}"
-        process = begin(arguments, log, mark, backwards=clock and attempt > 0)
+        full = attempt == 0 and chance.random() < _FULL and case.verb in ("run", "report", "figures")
+        largest = chance.randrange(2_000, 60_000) if full else 0
+        process = begin(arguments, log, mark, clock and attempt > 0, largest)
         by_worker = case.verb == "batch" and attempt % 3 == 2
-        allowed = tally.kills < most
+        allowed = tally.kills < most and not full
         status = ended(process, chance.uniform(0.0, case.seconds) if allowed else _LONGEST)
         number = chance.choice(_SIGNALS)
         if status is None and allowed:
@@ -290,6 +305,10 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
         if status == 0:
             break
         code = os.waitstatus_to_exitcode(status or 0)
+        if full and code == 3 and "may write (ulimit -f)" in log.read_text():
+            tally.full += 1
+            seen = now
+            continue
         if code not in (-signal.SIGKILL, -signal.SIGTERM, -signal.SIGHUP, -signal.SIGINT, 130):
             tally.failed += 1
             tally.faults.append(f"{folder.name}: ends with {code}: {log.read_text()[-300:]}")
@@ -335,8 +354,8 @@ def _check_orphans(mark: str, tally: Tally, folder: Path) -> None:
         time.sleep(0.01)
 
 
-def study(kills: int, minutes: float, seed: int) -> dict[str, Any]:
-    """Return the figures of a study: for each verb the counts, and the faults in words."""
+def study(kills: int, minutes: float, seed: int, output: Path | None) -> dict[str, Any]:
+    """Return the figures of a study: for each verb the counts, and the faults in words; also written on the way."""
     chance = random.Random(seed)
     with tempfile.TemporaryDirectory(prefix="gbid-kills-") as name:
         folder = Path(name)
@@ -354,14 +373,19 @@ def study(kills: int, minutes: float, seed: int) -> dict[str, Any]:
             done = sum(tally.kills for tally in tallies.values())
             faults = [fault for tally in tallies.values() for fault in tally.faults]
             print(f"{done} kills, {len(faults)} faults {faults[-2:]}", flush=True)
-        stale = left_over(kernels)
-    totals = ("kills", "campaigns", "clocks", "lost", "twice", "orphans", "left", "failed")
+            if output is not None:
+                output.write_text(json.dumps(_figures(seed, kills, tallies, ()), indent=1) + "\n", encoding="utf-8")
+        return _figures(seed, kills, tallies, left_over(kernels))
+
+
+def _figures(seed: int, kills: int, tallies: Mapping[str, Tally], stale: Sequence[str]) -> dict[str, Any]:
+    totals = ("kills", "campaigns", "clocks", "full", "lost", "twice", "orphans", "left", "failed")
     return {
         "seed": seed,
         "asked": kills,
         **{word: sum(getattr(tally, word) for tally in tallies.values()) for word in totals},
         "longest_end_s": round(max(tally.longest_end_s for tally in tallies.values()), 2),
-        "left_in_cache": stale,
+        "left_in_cache": list(stale),
         "signals": dict(sum((tally.signals for tally in tallies.values()), Counter())),
         "verbs": {
             verb: {word: getattr(tally, word) for word in totals} | {"faults": tally.faults}
@@ -378,7 +402,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path)
     given = parser.parse_args()
-    found = study(given.kills, given.minutes, given.seed)
+    found = study(given.kills, given.minutes, given.seed, given.output)
     text = json.dumps(found, indent=1)
     print(text)
     if given.output is not None:

@@ -18,7 +18,7 @@ from gbid.errors import DataError, NoSpaceError, UsageError
 _ENDING = ".part"
 _DAY = 86400.0
 _OURS = re.compile(r"\.(?P<host>[A-Za-z0-9-]*)~(?P<process>\d+)(-(?P<begun>\d+))?\.[^.]*\.part$")
-_FULL = (errno.ENOSPC, errno.EDQUOT)
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _IN_WORDS = re.compile(rf"errno = ({'|'.join(map(str, _FULL))})\b")  # HDF5 tells it in words
 
 
@@ -93,7 +93,7 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
 
 
 def is_no_space(error: BaseException) -> bool:
-    """Whether an error says that the disk or the quota is full."""
+    """Whether an error says that the disk or the quota is full, or that files of this process may not be so large."""
     return getattr(error, "errno", None) in _FULL or bool(_IN_WORDS.search(str(error)))
 
 
@@ -174,6 +174,9 @@ def _host() -> str:
 
 def _cannot_write(path: Path, error: Exception) -> DataError:
     if is_no_space(error):
+        if getattr(error, "errno", None) == errno.EFBIG:
+            text = "the file would be larger than this process may write (ulimit -f)"
+            return NoSpaceError(f"{path}: cannot be written: {text}; raise the limit and run again")
         return NoSpaceError(
             f"{path}: cannot be written: No space left in {path.parent}; make room and run again, "
             "what is complete is kept"

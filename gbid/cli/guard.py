@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import signal
+import sys
 import threading
 import traceback
 from collections.abc import Iterator
@@ -17,6 +18,7 @@ from gbid.cli.telling import tell
 from gbid.errors import GbidError
 
 INTERRUPTED = 130
+_SOON_S = 0.05
 _INTERRUPTED = ["interrupted; complete results are kept"]
 
 
@@ -33,7 +35,7 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home folder it would tell where its cache is
     try:
-        with _interrupted_by_termination():
+        with _interrupted_by_termination(), _heard_again():
             yield
     except typer.Exit:
         raise
@@ -66,6 +68,27 @@ def _interrupted_by_termination() -> Iterator[None]:
     finally:
         for number in changed:
             signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
+def _heard_again() -> Iterator[None]:
+    """Return a context in which an interruption that Python ignores comes again.
+
+    Python prints and forgets what is raised in the callbacks of weak references and in finalisers, also Ctrl-C.
+    """
+    before = sys.unraisablehook
+
+    def hook(ignored: sys.UnraisableHookArgs) -> None:
+        if issubclass(ignored.exc_type, KeyboardInterrupt):
+            threading.Timer(_SOON_S, signal.raise_signal, (signal.SIGINT,)).start()
+        else:
+            before(ignored)
+
+    sys.unraisablehook = hook
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

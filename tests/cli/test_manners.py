@@ -5,11 +5,15 @@ import json
 import os
 import subprocess
 import sys
+import time
+import weakref
 
 import pytest
+import typer
 from experiment_files import gbid, write_spring
 from places import ROOT
 
+from gbid.cli.guard import guarded
 from gbid.cli.live import LiveLine
 from gbid.cli.main import app
 
@@ -96,6 +100,40 @@ def test_clean_removes_what_killed_runs_left_and_on_request_all(tmp_path, capsys
     assert set(before) - set(files_of(path)) == gone
     assert gbid("clean", path, "--everything", "--quiet") == 0
     assert [p.name for p in results.rglob("*")] == ["mine.txt"]
+
+
+def test_a_limit_on_the_size_of_files_is_told_and_not_remembered(tmp_path, capsys):
+    resource = pytest.importorskip("resource")
+    path = write_spring(tmp_path)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (5_000, before[1]))
+    try:
+        assert gbid("import", path) == 3
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert "larger than this process may write (ulimit -f); raise the limit" in capsys.readouterr().err
+    assert [p.name for p in (tmp_path / "results").rglob("*") if p.is_file()] == []
+    assert gbid("import", path) == 0
+
+
+def test_an_interruption_that_python_ignores_comes_again(capsys):
+    class Thing:
+        pass
+
+    def interrupted(_):
+        raise KeyboardInterrupt
+
+    def body():
+        thing = Thing()
+        weak = weakref.ref(thing, interrupted)
+        del thing  # the callback runs here, and what it raises is ignored
+        time.sleep(20)
+        return weak
+
+    with pytest.raises(typer.Exit) as end, guarded():
+        body()
+    assert end.value.exit_code == 130
+    assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
 
 
 def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
