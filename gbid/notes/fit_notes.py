@@ -126,3 +126,9 @@ class FitNote(NoteKind):
         "fixed.",
         "Give the gain a prior or a better start value, or use focus='simulation'.",
     )
+    INTEGRATION = Explanation(
+        "GB120",
+        "the error of the integration moves estimates",
+        "With half the step of the integrator, an estimate would move by more than a tenth of its standard deviation.",
+        "Take more steps in a sample (steps=... of the structure), or integrator='implicit' for a stiff one.",
+    )

@@ -38,7 +38,7 @@ def growth_along(transitions: Sequence[FloatArray], samples: int) -> float:
     product, logs = np.eye(len(transitions[0])), [0.0]
     for step in transitions:
         product = step @ product
-        size = max(float(np.linalg.norm(product, 2)), float(np.finfo(float).tiny))
+        size = max(float(np.linalg.norm(product)), float(np.finfo(float).tiny))
         logs.append(logs[-1] + float(np.log(size)))
         product = product / size
     half = len(transitions) // 2

@@ -14,6 +14,7 @@ from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
 from gbid.identify.nonlinear.nonlinear_predictor import NonlinearPredictor
 from gbid.identify.result import FitResult
+from gbid.notes.fit_notes import FitNote
 from gbid.structure.nonlinear.nonlinear_structure import MOST_STEPS
 
 _TOLERATED = 0.1  # standard deviations
@@ -85,8 +86,10 @@ def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitRe
     if large and result.success:
         notes = (
             *notes,
-            f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
-            "steps in a sample (steps=...), or integrator='implicit'",
+            FitNote.INTEGRATION(
+                f"the error of the integration moves estimates, in standard deviations: {', '.join(large)}; take more "
+                "steps in a sample (steps=...), or integrator='implicit'"
+            ),
         )
     return replace(result, integration_shift=relative, notes=notes)
 
