@@ -1,5 +1,6 @@
 """Recordings and data frames of pandas, arrays of one dimension, stretches, and pictures."""
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -113,6 +114,18 @@ def test_values_draw_themselves(rec, result):
     assert gbid.measured_response(rec, "u", "y").plot().shape == (3, 1)
     assert gbid.cross_validate(result, rec).plot().shape == (2,)
     assert gbid.check_residuals(result, rec).plot().shape == (1, 2)
+    before = plt.get_fignums()
+    plt.ion()
+    try:
+        drawn = rec.plot()
+        assert plt.gcf() is drawn[0].figure
+        assert plt.isinteractive()  # else a notebook shows the first picture only
+        with pytest.raises(UsageError, match="no samples"):
+            rec.plot(from_s=1e3)
+        assert len(plt.get_fignums()) == len(before) + 1
+    finally:
+        plt.ioff()
+        plt.close("all")
     with pytest.raises(UsageError, match="no picture belongs to float; there is one for FitResult"):
         gbid.report.plot(1.0)
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from functools import wraps
-from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, ParamSpec, TypeVar
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
+LayoutName = Literal["constrained"]
 
 ONE_COLUMN, TWO_COLUMNS = 3.35, 6.9
 """Widths of figures in a report of two columns [inch]."""
@@ -78,12 +79,26 @@ def new_figure(size: tuple[float, float]) -> Figure:
 
 @contextmanager
 def shown_by_pyplot() -> Iterator[None]:
-    """Return a context in which new figures belong to pyplot, so that notebooks and ``plt.show()`` show them."""
+    """Return a context in which the new figure belongs to pyplot, so that notebooks and ``plt.show()`` show it.
+
+    pyplot makes it before the style of gbid holds: its first figure chooses the backend, and turns interactive mode on
+    in a notebook. Within the style this would be taken back at its end.
+    """
     from matplotlib import pyplot  # nobody else imports it: it keeps figures, and opens windows
 
-    token = _MAKER.set(pyplot.figure)
+    figure = pyplot.figure()
+
+    def made(figsize: tuple[float, float], layout: LayoutName) -> Figure:
+        figure.set_size_inches(figsize)
+        figure.set_layout_engine(layout)
+        return figure
+
+    token = _MAKER.set(made)
     try:
         yield
+    except BaseException:
+        pyplot.close(figure)
+        raise
     finally:
         _MAKER.reset(token)
 
