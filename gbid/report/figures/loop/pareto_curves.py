@@ -13,6 +13,7 @@ from gbid.brief import Brief
 from gbid.control.assessment.tuned_design import TunedDesign
 from gbid.control.tuning.gain_result import GainResult
 from gbid.report.figures.canvas import (
+    SERIES,
     ink,
     panels,
     series,
@@ -133,18 +134,22 @@ def plot_pareto(data: ParetoCurves, ax: Axes | None = None) -> Axes:
     matplotlib Axes
         The axes; ``axes.figure`` is the figure.
     """
-    _figure, (panel, *_) = panels(ax, size=(4.6, 3.1))
+    many = len(data.peak_sensitivity) > len(SERIES)  # too many lines for a legend among them
+    _figure, (panel, *_) = panels(ax, size=(5.9 if many else 4.6, 3.1))
     for k, (label, peak) in enumerate(data.peak_sensitivity.items()):
         order = np.argsort(peak)
         values = np.asarray(data.damping[label], float)[order]
-        panel.plot(np.asarray(peak, float)[order], values, label=label, markersize=3.5, **series(k))
+        hollow: dict[str, Any] = (
+            {} if k % (2 * len(SERIES)) < len(SERIES) else {"markerfacecolor": "white"}
+        )  # colours come again
+        panel.plot(np.asarray(peak, float)[order], values, label=label, markersize=3.5, **series(k), **hollow)
     for k, (label, (peak_so, damping)) in enumerate(data.designs.items()):
         look: dict[str, Any] = {"color": ink(), "markersize": 9, "markerfacecolor": "none", "markeredgewidth": 1.3}
         panel.plot(peak_so, damping, "*sPX"[k % 4], label=label, **look)
     panel.set_xlabel("peak of the output sensitivity $S_o$ [-]")
     panel.set_ylabel("smallest damping factor [-]")
     panel.set_ylim(bottom=0.0)
-    panel.legend(loc="best")
+    panel.legend(**({"loc": "center left", "bbox_to_anchor": (1.02, 0.5)} if many else {"loc": "best"}))
     if data.title:
         panel.set_title(data.title, loc="left", pad=4)
     return panel
