@@ -6,6 +6,7 @@ import math
 import time
 from typing import TYPE_CHECKING
 
+from gbid.cli.tally import rate
 from gbid.experiment.run.outcome import Outcome
 
 if TYPE_CHECKING:
@@ -37,8 +38,8 @@ class ProgressLine:
         """Return stage, evaluations and best value of a search for gains as text."""
         excess = f", limits exceeded by {100 * step.violation:.2g} %" if step.violation > 0 else ""
         passed = time.monotonic() - self._began
-        rate = f" ({step.count / passed:.2g}/s)" if passed > 1 else ""
-        return f"{self.label}: {step.stage}, {step.count} designs{rate}, best {step.value:.5g}{excess}"
+        pace = f" ({rate(step.count / passed)})" if passed > 1 else ""
+        return f"{self.label}: {step.stage}, {step.count} designs{pace}, best {step.value:.5g}{excess}"
 
 
 def outcome_line(outcome: Outcome) -> str:

@@ -79,7 +79,7 @@ class Tally:
         passed = time.monotonic() - self._began
         if not 0 < self.done < self.todo or passed <= 0:
             return ""
-        return f"{_rate(self.done / passed)}, {_duration(passed / self.done * (self.todo - self.done))} left"
+        return f"{rate(self.done / passed)}, {_duration(passed / self.done * (self.todo - self.done))} left"
 
     def text(self) -> str:
         """Return the state of the stage as text."""
@@ -96,8 +96,10 @@ class Tally:
         return ", ".join(parts)
 
 
-def _rate(per_second: float) -> str:
-    return f"{per_second:.2g}/s" if per_second >= 1 else f"{60 * per_second:.2g}/min"
+def rate(per_second: float) -> str:
+    """Return a number of items in a second or a minute as text."""
+    number, unit = (per_second, "s") if per_second >= 1 else (60 * per_second, "min")
+    return f"{number:.{0 if number >= 10 else 1}f}/{unit}"
 
 
 def _duration(seconds: float) -> str:
