@@ -20,6 +20,8 @@ from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 
+_AT_ONCE = 4096  # samples of a simulation that CasADi holds at once
+
 
 @dataclass(frozen=True, eq=False)
 class NonlinearModel(Brief):
@@ -169,8 +171,7 @@ class NonlinearModel(Brief):
         """
         u, following, x = self._run(inputs, sample_time, initial_state, intersample)
         none = np.zeros((len(u), len(self.output_names)))
-        _, outputs = self._over(self._step_without, len(u))(x, u.T, following.T, none.T, self.parameters, sample_time)
-        return np.array(outputs, float).T
+        return self._over(self._step_without, x, (u, following, none), sample_time)
 
     def predict(
         self,
@@ -211,8 +212,7 @@ class NonlinearModel(Brief):
         if y.shape != (len(u), len(self.output_names)) or not np.isfinite(y).all():
             expected = (len(u), len(self.output_names))
             raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")
-        _, predicted = self._over(self._step_with, len(u))(x, u.T, following.T, y.T, self.parameters, sample_time)
-        return np.array(predicted, float).T
+        return self._over(self._step_with, x, (u, following, y), sample_time)
 
     def _run(
         self, inputs: npt.ArrayLike, sample_time: float, initial_state: Any, intersample: str | Sequence[str]
@@ -229,9 +229,20 @@ class NonlinearModel(Brief):
         held = np.array([hold == "zoh" for hold in check_holds(intersample, u.shape[1])], bool)
         return u, np.where(held, u, np.vstack([u[1:], u[-1:]])), self._sized("initial_state", start, self.n_states)
 
-    @staticmethod
-    def _over(step: ca.Function, n: int) -> ca.Function:
-        return step.mapaccum(n) if n > 1 else step
+    def _over(
+        self, step: ca.Function, x: FloatArray, signals: tuple[FloatArray, FloatArray, FloatArray], sample_time: float
+    ) -> FloatArray:
+        """Return the outputs of all samples, (n_samples, n_outputs), some samples at a time: more would take memory."""
+        n = len(signals[0])
+        length = min(n, _AT_ONCE)
+        run = step.mapaccum(length) if length > 1 else step
+        found = []
+        for first in range(0, n, length):
+            rows = np.minimum(np.arange(first, first + length), n - 1)
+            states, outputs = run(x, *(signal[rows].T for signal in signals), self.parameters, sample_time)
+            x = np.asarray(states[:, -1], float).ravel()
+            found.append(np.array(outputs, float).T)
+        return np.concatenate(found)[:n]
 
     @cached_property
     def _step_without(self) -> ca.Function:
