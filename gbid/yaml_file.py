@@ -9,6 +9,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap, CommentedSeq
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
@@ -24,6 +25,7 @@ CHANGED = "changed after gbid wrote it: its checksum is not that of its lines"
 _LARGEST = 4 << 20  # bytes
 _DEEPEST = 50
 _ALIASED = 10_000
+_BRACKETS = 500
 
 
 @dataclass(frozen=True)
@@ -77,6 +79,8 @@ def read_yaml(path: Path) -> YamlFile:
         content = path.read_bytes()
         if len(content) > _LARGEST:
             raise UsageError(f"{path}: larger than {_LARGEST >> 20} MB; put signals and tables into files of their own")
+        if _open_brackets(content) > _BRACKETS:
+            raise UsageError(f"{path}: more than {_BRACKETS} brackets are opened and not closed; close them")
         text = content.decode()
     except FileNotFoundError:
         raise UsageError(f"{path}: no such file; check its name and folder") from None
@@ -101,6 +105,15 @@ def read_yaml(path: Path) -> YamlFile:
         raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
     notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
+
+
+def _open_brackets(content: bytes) -> int:
+    """Return the largest number of open brackets, also those in texts; the parser takes the square of it in time."""
+    steps = np.zeros(len(content) + 1)
+    found = np.frombuffer(content, np.uint8)
+    steps[1:] += (found == ord("[")) | (found == ord("{"))
+    steps[1:] -= (found == ord("]")) | (found == ord("}"))
+    return int(np.cumsum(steps).max())
 
 
 def _check_size(path: Path, tree: Any, length: int) -> None:
