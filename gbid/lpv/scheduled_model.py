@@ -140,11 +140,11 @@ class ScheduledModel(Brief):
         return evaluate(self.structure, values, self.input_names, self.output_names)
 
     def terms(self, values: FloatArray) -> FloatArray:
-        """Return the terms of the polynomials at points (..., n_variables), shape (..., n_terms)."""
+        """Return the terms of the polynomials at points `values`, (..., n_variables), as an array (..., n_terms)."""
         return np.stack([np.prod(values ** np.array(e), axis=-1) for e in self.exponents], axis=-1)
 
     def checked(self, point: tuple[npt.ArrayLike, ...], extrapolate: bool) -> FloatArray:
-        """Return points as an array (..., n_variables), checked against the domain."""
+        """Return `point` as an array (..., n_variables); outside of the domain it is refused unless `extrapolate`."""
         if len(point) != len(self.scheduling):
             raise UsageError(f"model {self.name!r}: give {', '.join(self.scheduling)}; got {len(point)} values")
         values = np.stack(np.broadcast_arrays(*(np.asarray(each, float) for each in point)), axis=-1)
