@@ -9,7 +9,7 @@ import numpy as np
 
 from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.structure import LinearModel, NonlinearModel
-from gbid.structure.nonlinear.nonlinear_model import with_integrators
+from gbid.structure.nonlinear.with_integrators import with_integrators
 
 
 def with_walking_offsets(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -293,24 +293,6 @@ class NonlinearModel(Brief):
 
 def _symbols(*sizes: int) -> list[ca.SX]:
     return [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
-
-
-def with_integrators(model: NonlinearModel, outputs: Sequence[int], gains: Sequence[float]) -> NonlinearModel:
-    """Return a model with one more state for each of these outputs: an offset that the error drives with a gain."""
-    n, added = model.n_states, len(outputs)
-    x, u, p = _symbols(n + added, len(model.input_names), len(model.parameters))
-    dx, y = model.function(x[:n], u, p)
-    onto = np.zeros((len(model.output_names), added))
-    onto[list(outputs), np.arange(added)] = 1.0
-    function = ca.Function("equations", [x, u, p], [ca.vertcat(dx, ca.SX.zeros(added)), y + ca.DM(onto) @ x[n:]])
-    return replace(
-        model,
-        equations=function.serialize(),
-        K=np.vstack([model.K, np.asarray(gains)[:, None] * onto.T]),
-        state_names=(*model.state_names, *(f"offset_{model.output_names[output]}" for output in outputs)),
-        working_state=np.concatenate([model.working_state, np.zeros(added)]),
-        state_size=np.concatenate([model.state_size, np.ones(added)]),
-    )
 
 
 def nonlinear_model(
