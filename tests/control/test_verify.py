@@ -68,7 +68,7 @@ def test_exact_norm_of_two_by_two_against_a_fine_grid() -> None:
 # ---- peaks that the grid missed ----
 
 
-def on_two_frequencies(loops: Any, modes: Any, rows: slice, extra: Any = None) -> Peaks:
+def on_two_frequencies(loops: Any, modes: Any, rows: slice, extra: Any = None, least: float = 0.0) -> Peaks:
     """Peaks as a grid of two frequencies beside the resonance knows them, and at the places it is told of."""
     m = len(loops.A)
     which, places = np.repeat(np.arange(m), 2), np.tile([0.5, 2.0], m)

@@ -79,7 +79,7 @@ def largest_singular_values(matrices: ComplexArray) -> FloatArray:
     if matrices.shape[-2:] != (2, 2):
         return np.asarray(np.linalg.svd(matrices, compute_uv=False)[..., 0])
     a, b, c, d = (matrices[..., i, j] for i in (0, 1) for j in (0, 1))
-    squares = np.abs(a) ** 2 + np.abs(b) ** 2 + np.abs(c) ** 2 + np.abs(d) ** 2
+    squares = (matrices.real**2 + matrices.imag**2).sum(axis=(-2, -1))
     return larger_of_two(squares, np.abs(a * d - b * c))
 
 

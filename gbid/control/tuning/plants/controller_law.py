@@ -54,7 +54,7 @@ class ControllerLaw:
         for name, outputs in (("values", values), ("slopes", slopes)):
             one = ca.Function(name, [g, s], outputs)
             many = ca.Function(f"{name}_at_points", [q], list(one.map(m)(ca.repmat(q, 1, m), ca.DM(where))))
-            self._calls[name] = DirectCall(many, m)
+            self._calls[name] = DirectCall(many, m, self._calls.get("values"))
 
     def matrices(self, gains: FloatArray) -> Matrices:
         """Return A, B, C, D, each (m, ., .), or (1, ., .) for a controller that is the same in all loops."""
@@ -63,11 +63,7 @@ class ControllerLaw:
 
     def derivatives(self, gains: FloatArray) -> tuple[Matrices, Matrices]:
         """Return A, B, C, D and their derivatives, each (m, d, ., .)."""
-        values = self._calls["values"](gains)
-        slopes = tuple(
-            J.transpose(0, 2, 1).reshape(len(M), len(gains), M.shape[2], M.shape[1]).transpose(0, 1, 3, 2)
-            for J, M in zip(self._calls["slopes"](gains), values, strict=True)
-        )
+        values, slopes = self._calls["values"](gains), self._calls["slopes"](gains)
         A, B, C, D = values
         dA, dB, dC, dD = slopes
         if self.sample_time is None:

@@ -28,8 +28,16 @@ _HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
 _FINALISTS = 3
 """Largest number of finalists where more than eigenvalues counts: their rough optimisation already is nearly full."""
+_NEARLY = 0.05
+"""Difference of merit within which a rough design may still become the best one."""
+_SAME = 1e-3
+"""Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
+_NEAR = 1e-4
+"""Relative difference of values after random moves that count as the same optimum."""
+_RETURNED = 2
+"""Number of longest random moves to the same optimum after which it is taken for the best one."""
 _AGREE = 1e-5
 """Relative difference of local optima that count as one."""
 FEASIBLE = 1e-6
@@ -114,34 +122,35 @@ def search(
     d = len(neutral)
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
     climber = Climber(problem, gain_units(problem, given[0]))
+    rough: list[LocalOptimum] = []
     if d in _GRID and effort.starts is None:
-        grid = grid_starts(problem, given[0], climber.unit, _GRID[d], 2 * effort.finalists)
-        rough = [
-            optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False) for x in (*given, *grid)
-        ]
+        for x in (*given, *grid_starts(problem, given[0], climber.unit, _GRID[d], effort.finalists)):
+            goal = climber.goal(rough) - _NEARLY
+            rough.append(optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False, goal=goal))
         note("global", _best(rough).score)
     else:
         n = effort.starts if effort.starts is not None else climber.starts
-        rough = []
         for start in (*given, *random_starts(problem, given[0], climber.unit, n, effort.seed)):
-            rough.append(climber.rough(start))
+            rough.append(climber.rough(start, climber.goal(rough)))
             note("global", _best(rough).score)
             if problem.exhausted:
                 break
     rough.sort(key=lambda found: merit(found.score, PENALTY), reverse=True)
     finals: list[LocalOptimum] = []
     for start in rough[: effort.finalists if climber.free or d in _GRID else min(effort.finalists, _FINALISTS)]:
-        if any(np.allclose(start.x, other.x, rtol=0, atol=1e-6) for other in finals):
+        same = (problem.upper - problem.lower) * (_SAME if d in _GRID else 1e-6)
+        if any((np.abs(start.x - other.x) <= same).all() for other in finals):
             continue
-        finals.append(start if problem.exhausted else climber.full(start.x))
+        finals.append(start if problem.exhausted else climber.full(start.x, climber.goal(finals)))
         note("local", _best(finals).score)
     best = _best(finals)
     if d not in _GRID and effort.hops and not _settled(problem, climber, finals):
         rng = np.random.default_rng(effort.seed)
-        hopped = []
-        for start in _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]:
-            hopped.append(_hop_basins(climber, start, rng, effort.hops, len(climber.hop_sizes), note))
-        best = _hop_basins(climber, _best(hopped), rng, effort.hops, 2 * len(climber.hop_sizes), note)
+        kinds = len(climber.hop_sizes)
+        if climber.free:
+            apart = _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]
+            best = _best([_hop_basins(climber, start, rng, effort.hops, kinds, note) for start in apart])
+        best = _hop_basins(climber, best, rng, effort.hops, (2 if climber.free else 3) * kinds, note)
     if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
@@ -198,24 +207,29 @@ class Climber:
         """Sizes of random moves."""
         return _FREE_HOPS if self.free else _HOP_SIZES
 
-    def rough(self, start: FloatArray) -> LocalOptimum:
-        """Return a design near a start that is better, with few evaluations."""
+    def goal(self, found: list[LocalOptimum]) -> float:
+        """Return the merit of the best of some designs, below which another one is of no use."""
+        return max((merit(one.score, PENALTY) for one in found), default=-np.inf)
+
+    def rough(self, start: FloatArray, goal: float) -> LocalOptimum:
+        """Return a design near a start that is better, with few evaluations; less good where the goal is far."""
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
-        return optimise_locally(self.problem, start, max_iterations=100, tolerance=1e-5)
+        return optimise_locally(self.problem, start, max_iterations=100, tolerance=1e-5, goal=goal - _NEARLY)
 
-    def full(self, start: FloatArray) -> LocalOptimum:
-        """Return a local optimum."""
+    def full(self, start: FloatArray, goal: float) -> LocalOptimum:
+        """Return a local optimum; less good where the goal is far."""
         if self.free:
-            start = self._ascent(start, 200 + 60 * len(start)).x
-        return optimise_locally(self.problem, start, max_iterations=300)
+            start, goal = self._ascent(start, 200 + 60 * len(start)).x, -np.inf
+        return optimise_locally(self.problem, start, max_iterations=300, goal=goal)
 
-    def hop(self, x: FloatArray, size: float, rng: np.random.Generator) -> LocalOptimum:
-        """Return the local optimum after a random move of some size."""
+    def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
+        """Return the local optimum after a random move of some size; less good where it will not be better."""
+        x = best.x
         step = size * rng.standard_normal(len(x))
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=self.goal([best]))
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
 
@@ -261,16 +275,22 @@ def _hop_basins(
     in_vain: int,
     note: Callable[[str, Score], None],
 ) -> LocalOptimum:
-    """Move a design at random and optimise again, until a number of moves in a row gave no improvement."""
-    vain = 0
+    """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
+
+    With limits, fewer moves are enough when several of the longest ones end at the same value.
+    """
+    vain = returned = 0
     for i in range(most):
-        if vain == in_vain or climber.problem.exhausted:
+        if vain == in_vain or returned == _RETURNED or climber.problem.exhausted:
             break
-        again = climber.hop(best.x, climber.hop_sizes[i % len(climber.hop_sizes)], rng)
+        size = climber.hop_sizes[i % len(climber.hop_sizes)]
+        again = climber.hop(best, size, rng)
         progress = again.score.value - best.score.value > _PROGRESS * abs(best.score.value)
         repaired = again.score.violation <= FEASIBLE < best.score.violation
         improved = better(again.score, best.score)
         vain = 0 if improved and (progress or repaired) else vain + 1
+        near = abs(again.score.value - best.score.value) <= _NEAR * abs(best.score.value)
+        returned = 0 if not vain else returned + (near and size == max(climber.hop_sizes) and not climber.free)
         best = again if improved else best
         note("basin hopping", best.score)
     return best

@@ -85,7 +85,8 @@ class LoopFamily:
     _calls: dict[str, DirectCall] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._calls.update(matrices=DirectCall(self.function, len(self)), slopes=DirectCall(self.jacobian, len(self)))
+        matrices = DirectCall(self.function, len(self))
+        self._calls.update(matrices=matrices, slopes=DirectCall(self.jacobian, len(self), matrices))
 
     def __len__(self) -> int:
         return len(self.labels)
@@ -100,13 +101,7 @@ class LoopFamily:
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""
-        values = self._calls["matrices"](gains)
-        slopes = (
-            np.ascontiguousarray(
-                J.transpose(0, 2, 1).reshape(len(self), len(gains), M.shape[2], M.shape[1]).transpose(0, 1, 3, 2)
-            )
-            for J, M in zip(self._calls["slopes"](gains), values, strict=True)
-        )
+        values, slopes = self._calls["matrices"](gains), self._calls["slopes"](gains)
         # an infinite derivative is as useless as NaN, which spreads without warnings
         return Derivatives(*values, *(slope if np.isfinite(slope).all() else _only_finite(slope) for slope in slopes))
 

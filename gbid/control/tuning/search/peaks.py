@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import zgees
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
@@ -16,8 +17,10 @@ from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
 _USELESS = 1e8
-"""Largest entry of left eigenvectors from which responses are computed without them."""
-_STEPS = np.linspace(0.0, 1.0, 25)
+"""Condition of an eigenvalue from which on responses are computed without eigenvectors."""
+_STEPS = np.linspace(0.0, 1.0, 9)
+_NEAR = 0.9
+"""Share of a gain that matters which a grid point near a peak of that gain reaches."""
 
 
 @dataclass(frozen=True)
@@ -29,17 +32,67 @@ class Peaks:
     value: FloatArray
 
 
+class ModalResponse:
+    r"""Frequency responses of m loops as sums over modes, ``G(j w) = sum_k R_k / (j w - lambda_k) + D``.
+
+    Nearly defective matrices, such as those of delays of several samples, have no use of their eigenvectors. Their
+    responses are computed without them.
+
+    Parameters
+    ----------
+    loops, modes
+        Matrices of the loops, and their eigenvalues and eigenvectors.
+    rows : slice
+        Rows of the outputs.
+    """
+
+    def __init__(self, loops: Loops, modes: Eigensystem, rows: slice) -> None:
+        self._loops, self._rows, self._poles = loops, rows, modes.values
+        C, self._D = loops.C[:, rows], loops.D[:, rows]
+        m, n_y, n = C.shape
+        outputs, inputs = (C @ modes.right).transpose(0, 2, 1), modes.left @ loops.B
+        self._residues = (outputs[:, :, :, None] * inputs[:, :, None, :]).reshape(m, n, n_y * inputs.shape[2])
+        # a sum of products of corresponding entries does not change with the units of the states
+        shares = np.abs(modes.left * modes.right.transpose(0, 2, 1)).sum(axis=2)
+        self._useless = ~(shares.max(axis=1) < _USELESS)
+        self._forms: dict[int, tuple[ComplexArray, ComplexArray, ComplexArray]] = {}
+
+    def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
+        """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
+        poles, residues, D, useless = self._poles, self._residues, self._D, self._useless
+        if which is not None:
+            poles, residues, D, useless = poles[which], residues[which], D[which], useless[which]
+        # a quotient of real numbers is faster than one of complex numbers
+        rate, off = poles.real[:, None, :], frequency[:, :, None] - poles.imag[:, None, :]
+        size = rate * rate + off * off
+        resolvent = np.empty(size.shape, complex)
+        np.divide(-rate, size, out=resolvent.real)
+        np.divide(-off, size, out=resolvent.imag)
+        found = (resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None]
+        loops = np.arange(len(frequency)) if which is None else which
+        for loop in np.unique(loops[useless]) if useless.any() else ():
+            found[loops == loop] = self._without_modes(loop, frequency[loops == loop])
+        return np.asarray(found)
+
+    def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
+        """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
+        if loop not in self._forms:
+            form, _, _, basis, *_ = zgees(lambda _: None, self._loops.A[loop])
+            self._forms[loop] = form, basis.conj().T @ self._loops.B[loop], self._loops.C[loop, self._rows] @ basis
+        form, B, C = self._forms[loop]
+        n, n_d = B.shape
+        # row i of (j w - T) X = B, for all frequencies and inputs side by side
+        resolvent = 1.0 / (1j * np.repeat(frequency, n_d) - np.diag(form)[:, None])
+        inputs, states = np.tile(B, frequency.size), np.empty((n, frequency.size * n_d), complex)
+        for i in range(n - 1, -1, -1):
+            states[i] = (form[i, i + 1 :] @ states[i + 1 :] + inputs[i]) * resolvent[i]
+        found = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
+        return np.asarray(found + self._D[loop])
+
+
 def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
     """Return frequency responses of some outputs of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
-    CV = loops.C[which][:, rows] @ modes.right[which]
-    WB = modes.left[which] @ loops.B[which]
-    resolvent = 1.0 / (1j * frequency[:, :, None] - modes.values[which][:, None, :])
-    found = np.asarray((CV[:, None] * resolvent[:, :, None, :]) @ WB[:, None] + loops.D[which][:, None, rows])
-    # nearly defective matrices, such as those of delays of several samples, have no use of their eigenvectors
-    for i in np.flatnonzero(np.abs(modes.left).max(axis=(1, 2))[which] > _USELESS):
-        A, B, C, D = (M[which[i]] for M in (loops.A, loops.B, loops.C[:, rows], loops.D[:, rows]))
-        found[i] = C @ np.linalg.solve(1j * frequency[i, :, None, None] * np.eye(len(A)) - A, B.astype(complex)) + D
-    return found
+    return ModalResponse(loops, modes, rows)(frequency, which)
 
 
 def _largest(responses: ComplexArray, _: FloatArray) -> FloatArray:
@@ -53,6 +106,7 @@ def find_peaks(
     rows: slice,
     extra: tuple[IntArray, FloatArray] | None = None,
     gain: Callable[[ComplexArray, FloatArray], FloatArray] = _largest,
+    least: float = 0.0,
 ) -> Peaks:
     """Return the local maxima of the gain of a response, refined in frequency.
 
@@ -67,6 +121,8 @@ def find_peaks(
     gain : callable
         From responses (k, f, n_y, n_d) and their frequencies (k, f) to gains (k, f); by default the largest singular
         value.
+    least : float
+        Gain below which a peak does not matter; it may then be left out.
 
     Notes
     -----
@@ -74,32 +130,65 @@ def find_peaks(
     coarse grid would miss belongs to a lightly damped eigenvalue. Each local maximum is then refined.
     """
     m = len(loops.A)
-    size, pair = np.abs(modes.values), modes.values.imag > 0
-    # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
-    own = [np.where(pair, size, 1.07 * size), np.where(pair, modes.values.imag, 0.93 * size)]
-    grid = np.concatenate([np.broadcast_to(_BASE, (m, len(_BASE))), *own], axis=1)
-    if extra is not None:
-        more = np.zeros((m, len(extra[0])))
-        more[extra[0], np.arange(len(extra[0]))] = extra[1]
-        grid = np.concatenate([grid, more], 1)
-    grid = np.sort(grid, axis=1)
-    values = gain(respond(loops, modes, rows, np.arange(m), grid), grid)
-    padded = np.pad(values, ((0, 0), (1, 1)), constant_values=-np.inf)
+    respond_at = ModalResponse(loops, modes, rows)
+    grid = _grid(modes, extra)
+    values = gain(respond_at(grid), grid)
+    padded = np.full((m, grid.shape[1] + 2), -np.inf)
+    padded[:, 1:-1] = values
     # of neighbours at one frequency only the last counts
-    top = (values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > 0.6 * values.max(axis=1, keepdims=True))
-    loop, column = np.nonzero(top)
+    enough = np.maximum(0.6 * values.max(axis=1, keepdims=True), _NEAR * least)
+    loop, column = np.nonzero((values >= padded[:, :-2]) & (values > padded[:, 2:]) & (values > enough))
+    best, place = values[loop, column], grid[loop, column]
+    if not len(loop):
+        return Peaks(loop, place, best)
     low = grid[loop, np.maximum(column - 1, 0)]
     high = grid[loop, np.minimum(column + 1, grid.shape[1] - 1)]
-    best, place = values[loop, column], grid[loop, column]
     row = np.arange(len(loop))
-    for _ in range(3):
+    for _ in range(2):
         points = low[:, None] + (high - low)[:, None] * _STEPS
-        found = gain(respond(loops, modes, rows, loop, points), points)
-        at = found.argmax(axis=1)
-        better = found[row, at] > best
-        best, place = np.where(better, found[row, at], best), np.where(better, points[row, at], place)
-        low, high = points[row, np.maximum(at - 1, 0)], points[row, np.minimum(at + 1, len(_STEPS) - 1)]
-    return Peaks(loop, place, best)
+        found = gain(respond_at(points, loop), points)
+        at = np.clip(found.argmax(axis=1), 1, len(_STEPS) - 2)
+        low, high = points[row, at - 1], points[row, at + 1]
+        three = found[row[:, None], at[:, None] + np.array([-1, 0, 1])]
+        better = three[:, 1] > best
+        best, place = np.where(better, three[:, 1], best), np.where(better, points[row, at], place)
+    step = (high - low) / 2
+    vertex, _ = _vertex(low + step, step, three)
+    step = 0.1 * step
+    points = np.maximum(vertex[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0]), 0.0)
+    three = gain(respond_at(points, loop), points)
+    vertex, top = _vertex(vertex, step, three)
+    better = top > best
+    return Peaks(loop, np.where(better, vertex, place), np.where(better, top, best))
+
+
+def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return place and height of the parabola through three points; where it has no top between them, the highest."""
+    before, here, after = values.T
+    bend, rise = 2 * here - before - after, (after - before) / 2
+    share = np.clip(rise / np.where(bend > 0, bend, np.inf), -1.0, 1.0)
+    top = here + share * rise - share**2 * bend / 2
+    inside = np.abs(share) < 1
+    at = values.argmax(axis=1)
+    place = middle + step * np.where(inside, share, at - 1.0)
+    return place, np.where(inside, top, values.max(axis=1))
+
+
+def _grid(modes: Eigensystem, extra: tuple[IntArray, FloatArray] | None) -> FloatArray:
+    """Return ascending frequencies for each loop (m, f) [rad/s]."""
+    m, n = modes.values.shape
+    n_extra = 0 if extra is None else len(extra[0])
+    grid = np.zeros((m, len(_BASE) + 2 * n + n_extra))
+    grid[:, : len(_BASE)] = _BASE
+    own = grid[:, len(_BASE) : len(_BASE) + 2 * n]
+    # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
+    size, pair = np.abs(modes.values), modes.values.imag > 0
+    own[:, :n] = np.where(pair, size, 1.07 * size)
+    own[:, n:] = np.where(pair, modes.values.imag, 0.93 * size)
+    if extra is not None:
+        grid[extra[0], len(_BASE) + 2 * n + np.arange(n_extra)] = extra[1]
+    grid.sort(axis=1)
+    return grid
 
 
 def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArray, FloatArray]:
@@ -110,9 +199,9 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     """
     i, n = peaks.loop, loops.A.shape[-1]
     system = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i]
-    RB = np.linalg.solve(system, loops.B[i].astype(complex))
+    R = np.linalg.inv(system)
     C, D = loops.C[i][:, rows], loops.D[i][:, rows]
-    CR = np.linalg.solve(system.transpose(0, 2, 1), C.transpose(0, 2, 1).astype(complex)).transpose(0, 2, 1)
+    RB, CR = R @ loops.B[i], C @ R
     U, values, Vh = np.linalg.svd(C @ RB + D)
     u, v = U[:, :, 0].conj(), Vh[:, 0].conj()
     RBv = (RB @ v[:, :, None])[:, :, 0]

@@ -90,7 +90,7 @@ class GainProblem:
             return Score(value, max(violation, 0.0))
         if self._uses_responses and not all(loops.finite for loops in every):
             return UNUSABLE
-        for _, _, peaks, limit in self._responses(every):
+        for _, _, peaks, limit in self._responses(every, room=0.0):
             violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
@@ -164,7 +164,7 @@ class GainProblem:
             aims += self._of_eigenvalues("aim", f, system, derivatives, near)
             slow = (self.slowest + rates[f].real) / self.scale
             limits += self._of_eigenvalues("pole", f, system, derivatives, (slow > -window) & upper)
-        for kind, f, peaks, limit in self._responses(slopes_by, systems):
+        for kind, f, peaks, limit in self._responses(slopes_by, systems, window):
             keep = np.flatnonzero(peaks.value > limit * np.exp(-window))
             chosen = Peaks(peaks.loop[keep], peaks.frequency[keep], peaks.value[keep])
             slopes, _ = peak_slopes(slopes_by[f], rows_of(self.families[f], kind), chosen)
@@ -186,7 +186,7 @@ class GainProblem:
         if not np.isfinite(violation):
             return ActiveFunctions(UNUSABLE, (), ())
         sound = [[piece for piece in group if np.isfinite(piece.slope).all()] for group in (aims, limits)]
-        return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]))
+        return ActiveFunctions(Score(worst, violation), tuple(sound[0]), tuple(sound[1]), tuple(states))
 
     def merit_and_slope(self, x: FloatArray, penalty: float) -> tuple[float, FloatArray]:
         """Return objective minus a penalty on the largest violation, and the gradient of the worst functions."""
@@ -228,9 +228,9 @@ class GainProblem:
         numbers, gradients = self._of_values("aim", f, np.array([cluster.mean]), cluster.mean_slope[None])
         return float(numbers[0]), gradients[0]
 
-    def subspaces(self, x: FloatArray) -> LoopSubspaces:
+    def subspaces(self, x: FloatArray, known: Sequence[LoopState] = ()) -> LoopSubspaces:
         """Return the invariant subspaces of all loops at a design."""
-        return LoopSubspaces(self.families, x, 0.01 * self.scale)
+        return LoopSubspaces(self.families, x, 0.01 * self.scale, known)
 
     def slopes_at(self, functions: Sequence[ActiveFunction], designs: Sequence[FloatArray]) -> FloatArray:
         """Return the gradients of known functions at nearby designs (q, n, d), those of peaks at their old frequency.
@@ -247,10 +247,13 @@ class GainProblem:
             loops = Derivatives.joined(parts)
             spectral = any(functions[i].kind in ("aim", "pole") for i in own)
             system = Eigensystem.of(loops.A) if spectral else None
-            for i in own:
-                # the loop of this piece in each design
-                which = np.searchsorted(used, functions[i].loop) + len(used) * np.arange(len(designs))
-                found[:, i] = self._slopes_of(functions[i], f, loops, system, which)
+            for kind in {functions[i].kind for i in own}:
+                same = [i for i in own if functions[i].kind == kind]
+                # the loop of each piece in each design (n, q)
+                first = np.searchsorted(used, [functions[i].loop for i in same])
+                which = first[:, None] + len(used) * np.arange(len(designs))
+                places = np.array([functions[i].place for i in same])
+                found[:, same] = self._slopes_of(kind, places, f, loops, system, which).transpose(1, 0, 2)
         for i, piece in enumerate(functions):
             rows = [row for name, row, _ in self.linear if name == piece.kind]
             if rows:
@@ -259,23 +262,23 @@ class GainProblem:
 
     def _slopes_of(
         self,
-        piece: ActiveFunction,
+        kind: str,
+        places: ComplexArray,
         f: int,
         loops: Derivatives,
         system: Eigensystem | None,
         which: npt.NDArray[np.intp],
     ) -> FloatArray:
-        """Return the gradients of one function in the chosen loops (q, d), NaN where they are not available."""
-        nothing = np.full((len(which), len(self.lower)), np.nan)
-        if piece.kind in _RESPONSES:
-            peaks = Peaks(which, np.full(len(which), piece.place.imag), np.ones(len(which)))
-            slopes, values = peak_slopes(loops, rows_of(self.families[f], piece.kind), peaks)
-            return np.asarray(slopes / values[:, None])
-        if system is None or piece.kind not in ("aim", "pole"):
-            return nothing
-        distance = np.abs(system.values[which] - piece.place)
-        at = distance.argmin(axis=1)
-        return self._of_values(piece.kind, f, system.values[which, at], system.slopes(which, at, loops.dA))[1]
+        """Return the gradients of n functions in the chosen loops (n, q, d), NaN where they are not available."""
+        shape, flat = (*which.shape, len(self.lower)), which.ravel()
+        if kind in _RESPONSES:
+            peaks = Peaks(flat, np.repeat(places.imag, which.shape[1]), np.ones(len(flat)))
+            slopes, values = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
+            return (slopes / values[:, None]).reshape(shape)
+        if system is None or kind not in ("aim", "pole"):
+            return np.full(shape, np.nan)
+        at = np.abs(system.values[which] - places[:, None, None]).argmin(axis=2).ravel()
+        return self._of_values(kind, f, system.values[flat, at], system.slopes(flat, at, loops.dA))[1].reshape(shape)
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).
@@ -298,21 +301,29 @@ class GainProblem:
         return np.array(rows)
 
     def _responses(
-        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None
+        self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None, room: float = np.inf
     ) -> list[tuple[str, int, Peaks, float]]:
-        """Return the peaks of all limited responses of all families, for given matrices (and eigenvalues)."""
+        """Return the peaks of all limited responses of all families, for given matrices (and eigenvalues).
+
+        Peaks that are below their limits by more than `room`, in the logarithm, may be left out.
+        """
         found: list[tuple[str, int, Peaks, float]] = []
         if not self.limits.has_responses:
             return found
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             if family.n_outputs:
                 system = Eigensystem.of(loops.A) if systems is None else systems[f]
-                cuts = [cut for cut in self.cuts if cut[1] == f]
-                found += [(kind, f, peaks, limit) for kind, peaks, limit in self._peaks(family, loops, system, cuts)]
+                own = self._peaks(family, loops, system, [cut for cut in self.cuts if cut[1] == f], room)
+                found += [(kind, f, peaks, limit) for kind, peaks, limit in own]
         return found
 
     def _peaks(
-        self, family: LoopFamily, loops: Loops, system: Eigensystem, cuts: list[tuple[str, int, int, float]]
+        self,
+        family: LoopFamily,
+        loops: Loops,
+        system: Eigensystem,
+        cuts: list[tuple[str, int, int, float]],
+        room: float = np.inf,
     ) -> list[tuple[str, Peaks, float]]:
         """Return the peaks of all limited responses of one family: kind, peaks, limit."""
         found = []
@@ -320,7 +331,8 @@ class GainProblem:
             if limit is not None:
                 own = [cut for cut in cuts if cut[0] == kind]
                 extra = (np.array([c[2] for c in own], int), np.array([c[3] for c in own])) if own else None
-                found.append((kind, find_peaks(loops, system, rows_of(family, kind), extra), limit))
+                peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
+                found.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:
             every, rest = np.arange(len(family)), np.zeros((len(family), 1))
             response = respond(loops, system, rows_of(family, "static"), every, rest)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.control.tuning.search.measure import LoopState
 
 
 @dataclass(frozen=True)
@@ -44,11 +45,12 @@ class ActiveFunction:
 
 @dataclass(frozen=True)
 class ActiveFunctions:
-    """Active functions of the objective (maximised) and of the limits (at most 0) at one design."""
+    """Active functions of the objective (maximised) and of the limits (at most 0) at one design, and its loops."""
 
     score: Score
     aim: tuple[ActiveFunction, ...]
     limits: tuple[ActiveFunction, ...]
+    states: tuple[LoopState, ...] = ()
 
 
 def merit(score: Score, penalty: float) -> float:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import schur
-from scipy.linalg.lapack import ztrsen, ztrsyl
+from scipy.linalg.lapack import zgees, ztrsen, ztrsyl
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.tuning.search.spectrum import LARGEST
@@ -68,10 +67,8 @@ class InvariantSubspaces:
         self.dA = dA
         self.usable = bool(np.isfinite(A).all() and np.isfinite(dA).all() and np.abs(A).max() < LARGEST)
         if self.usable:
-            try:
-                self._form, self._basis = schur(A, output="complex", check_finite=False)
-            except np.linalg.LinAlgError:
-                self.usable = False
+            self._form, _, _, self._basis, _, failed = zgees(lambda _: None, A)
+            self.usable = failed == 0
 
     def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
         """Return the cluster of the eigenvalues nearest to a place in the complex plane.
@@ -112,19 +109,37 @@ class InvariantSubspaces:
                 return None
             left = basis.conj().T
             left = left[:size] + (X / scale) @ left[size:]
-        return _cluster(form[:size, :size], left @ self.dA @ basis[:, :size], rate)
+        return _cluster(form[:size, :size], left, basis[:, :size], self.dA, rate)
 
 
-def _cluster(M: ComplexArray, dM: ComplexArray, rate: float) -> Cluster:
-    """Return the cluster of all eigenvalues of an upper triangular matrix, from its derivatives."""
-    size = len(M)
+def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:
+    """Return mean and power sums of eigenvalues, see `Cluster`; both hardly change by the rounding of each of them."""
+    size = len(values)
+    mean = complex(values.sum() / size)
+    distances = (values - mean) / rate
+    return mean, np.array([(distances**j).sum() / size for j in range(2, size + 1)])
+
+
+def _cluster(M: ComplexArray, left: ComplexArray, right: ComplexArray, dA: FloatArray, rate: float) -> Cluster:
+    """Return the cluster of all eigenvalues of an upper triangular matrix ``M = left A right``."""
+    size, d = len(M), len(dA)
     mean = complex(np.trace(M) / size)
-    mean_slope = np.trace(dM, axis1=1, axis2=2) / size
     N = (M - mean * np.eye(size)) / rate
-    dN = (dM - mean_slope[:, None, None] * np.eye(size)) / rate
-    powers, slopes, power = [], [], np.eye(size, dtype=complex)
+    # trace of N^(j-1) left dA right as a product of right N^(j-1) left with dA, for all j at once
+    weights, traces, turned = [right @ left], [complex(size)], right
+    for _ in range(1, size):
+        turned = turned @ N
+        weights.append(turned @ left)
+    powers = np.empty(size - 1, complex)
+    power = N
     for j in range(2, size + 1):
+        traces.append(complex(np.trace(power)))
         power = power @ N
-        powers.append(np.trace(power @ N) / size)
-        slopes.append(j * (power.T.ravel() @ dN.reshape(len(dN), -1).T) / size)
-    return Cluster(size, np.diag(M).copy(), mean, mean_slope, np.array(powers), np.array(slopes))
+        powers[j - 2] = np.trace(power) / size
+    flat = np.array(weights).transpose(0, 2, 1).reshape(size, -1)
+    products = np.vstack([flat.real, flat.imag]) @ dA.reshape(d, -1).T
+    inner = products[:size] + 1j * products[size:]
+    mean_slope = inner[0] / size
+    factors = np.arange(2, size + 1)[:, None] / (size * rate)
+    slopes = factors * (inner[1:] - np.array(traces[1:])[:, None] * mean_slope)
+    return Cluster(size, np.diag(M).copy(), mean, mean_slope, powers, slopes)

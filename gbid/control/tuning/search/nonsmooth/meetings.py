@@ -8,7 +8,7 @@ import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.tuning.search.nonsmooth.active import ActiveFunction, ActiveFunctions
-from gbid.control.tuning.search.nonsmooth.cluster import Cluster
+from gbid.control.tuning.search.nonsmooth.cluster import Cluster, power_sums
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.spectrum import eigenvalues
 
@@ -22,6 +22,12 @@ _ROUNDING = 1e-9
 """Relative error of a matrix that counts as rounding, with the conditions of balanced loops."""
 _SEEDS = 8
 """Number of the worst functions around whose eigenvalues clusters are looked for."""
+_CORRECTIONS = 10
+"""Largest number of corrections of a move towards a meeting."""
+_MET = 1e-14
+"""Largest power sum of eigenvalues that have met."""
+_PAIR_MET = 1e-11
+"""Largest power sum of two eigenvalues that have met; it is the square of their distance."""
 _ALONE, _TOGETHER = 4, 3
 """Number of clusters that are tried one by one, and largest number of clusters that meet in one step."""
 
@@ -68,36 +74,38 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
         (piece for piece in functions.aim if piece.value < functions.score.value + _WINDOW),
         key=lambda piece: piece.value,
     )
-    spectra: dict[int, ComplexArray] = {}
+    damping = problem.limits.objective == "damping"
     for piece in near[:_SEEDS]:
-        f = piece.family
-        if f not in spectra:
-            spectra[f] = eigenvalues(problem.families[f].states(x))
-        for centre, size, radius in nearby(spectra[f][piece.loop], piece.place, problem.scale, len(x) + 1):
+        f, spectrum = piece.family, functions.states[piece.family].system.values[piece.loop]
+        for centre, size, radius in nearby(spectrum, piece.place, problem.scale, len(x) + 1, not damping):
             key = (f, piece.loop, size, complex(np.round(centre / problem.scale, 6)))
             places[key] = radius / max(abs(centre), 0.01 * problem.scale), centre, radius
     tightest = sorted(places, key=lambda key: places[key][0])
     largest = sorted(tightest[_ALONE:], key=lambda key: -key[2])[:1]
-    subspaces, found = problem.subspaces(x), []
-    for key in (*tightest[: 2 * _ALONE], *largest):
+    subspaces = problem.subspaces(x, functions.states)
+    groups: list[tuple[Meeting, ...]] = []
+    joint: list[Meeting] = []
+    for i, key in enumerate((*tightest[: 2 * _ALONE], *largest)):
+        alone = i < _ALONE or key in largest
+        if not alone and len(joint) >= _TOGETHER:
+            continue
         f, loop, size, _ = key
         _, centre, radius = places[key]
         cluster = subspaces.cluster(f, loop, centre, size)
-        if cluster is not None and not (cluster.real and problem.limits.objective == "damping"):
-            value, slope = problem.mean_of(f, cluster)
-            mean = ActiveFunction("cluster", f, loop, value, slope, cluster.mean, size)
-            found.append((Meeting(mean, cluster, radius), key in tightest[:_ALONE] or key in largest))
-    groups: list[tuple[Meeting, ...]] = [(one,) for one, alone in found if alone]
-    joint: list[Meeting] = []
-    for one, _ in found:
-        if all(one.apart_from(other) for other in joint):
+        if cluster is None or (cluster.real and damping):
+            continue
+        value, slope = problem.mean_of(f, cluster)
+        one = Meeting(ActiveFunction("cluster", f, loop, value, slope, cluster.mean, size), cluster, radius)
+        if alone:
+            groups.append((one,))
+        if len(joint) < _TOGETHER and all(one.apart_from(other) for other in joint):
             joint.append(one)
-            if 1 < len(joint) <= _TOGETHER:
-                groups.append(tuple(joint))
-    return groups
+    return [*groups, *(tuple(joint[:n]) for n in range(2, len(joint) + 1))]
 
 
-def nearby(values: ComplexArray, worst: complex, scale: float, most: int) -> list[tuple[complex, int, float]]:
+def nearby(
+    values: ComplexArray, worst: complex, scale: float, most: int, with_real: bool = True
+) -> list[tuple[complex, int, float]]:
     """Return centres, sizes and radii of clusters of eigenvalues that a given one may belong to.
 
     Parameters
@@ -110,14 +118,15 @@ def nearby(values: ComplexArray, worst: complex, scale: float, most: int) -> lis
         Typical magnitude of an eigenvalue [rad/s].
     most : int
         Largest number of members.
+    with_real : bool
+        Whether clusters around a place on the real axis are meant, too.
     """
     found: list[tuple[complex, int, float]] = []
-    for real in (False, True):
+    for real in (False, True) if with_real else (False,):
         members = np.array([worst])
         for size in range(2, min(most, len(values)) + 1):
-            middle = complex(members.mean().real if real else members.mean())
-            members = values[np.argsort(np.abs(values - middle), kind="stable")[:size]]
-            centre = complex(members.mean().real if real else members.mean())
+            members = values[np.argsort(np.abs(values - _middle(members, real)), kind="stable")[:size]]
+            centre = _middle(members, real)
             distance = np.sort(np.abs(values - centre))
             inside, outside = float(distance[size - 1]), distance[size] if size < len(values) else np.inf
             if inside > _NEAR * max(abs(centre), 0.01 * scale):
@@ -128,35 +137,78 @@ def nearby(values: ComplexArray, worst: complex, scale: float, most: int) -> lis
     return found
 
 
+def _middle(members: ComplexArray, real: bool) -> complex:
+    middle = complex(members.sum()) / len(members)
+    return complex(middle.real) if real else middle
+
+
 def back_to_meeting(
     problem: GainProblem, x: FloatArray, move: FloatArray, means: tuple[ActiveFunction, ...]
 ) -> FloatArray:
     """Return a move corrected so that its clusters of eigenvalues meet at its end.
 
     The distance of k eigenvalues is a k-th root. So an error of second order in the move would change it by more than
-    the first order.
+    the first order. The derivatives of the power sums are computed once and then updated with their changes along the
+    corrections (Broyden's method), as long as these shrink.
     """
     width = problem.upper - problem.lower
     places = [mean.place for mean in means]
-    smallest = np.inf
-    for _ in range(8):
-        subspaces = problem.subspaces(x + move)
-        clusters = [
-            subspaces.cluster(mean.family, mean.loop, place, mean.size)
-            for mean, place in zip(means, places, strict=True)
-        ]
-        found = [cluster for cluster in clusters if cluster is not None]
-        if len(found) < len(clusters):
-            return move
-        places = [cluster.mean for cluster in found]
-        values = np.concatenate([cluster.powers for cluster in found])
+    met = _MET if max(mean.size for mean in means) > 2 else _PAIR_MET
+    smallest, inverse, last = np.inf, None, (np.zeros(0), np.zeros(0))
+    for _ in range(_CORRECTIONS):
+        fresh = inverse is None
+        if inverse is None:
+            subspaces = problem.subspaces(x + move)
+            clusters = [
+                subspaces.cluster(mean.family, mean.loop, place, mean.size)
+                for mean, place in zip(means, places, strict=True)
+            ]
+            found = [cluster for cluster in clusters if cluster is not None]
+            if len(found) < len(clusters):
+                return move
+            sums = [(cluster.mean, cluster.powers) for cluster in found]
+            slopes = np.concatenate([cluster.powers_slope for cluster in found]) * width
+            inverse = _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
+        else:
+            sums = _sums(problem, x + move, means, places)
+        values = np.concatenate([powers for _, powers in sums])
         size = float(np.abs(values).max())
-        if size < 1e-15 or size > 0.5 * smallest:
+        if not size > met:
             break
+        if size > 0.5 * smallest:
+            if fresh:
+                break
+            inverse = None
+            continue
+        places = [mean for mean, _ in sums]
         smallest = size
-        slopes = np.concatenate([cluster.powers_slope for cluster in found]) * width
-        rows, sides = np.vstack([slopes.real, slopes.imag]), -np.concatenate([values.real, values.imag])
-        length = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
-        correction = np.linalg.lstsq(rows / length[:, None], sides / length, rcond=1e-12)[0]
-        move = np.clip(x + move + correction * width, problem.lower, problem.upper) - x
+        reached = np.concatenate([values.real, values.imag])
+        if not fresh:
+            change, taken = reached - last[0], last[1] @ inverse
+            product = float(taken @ change)
+            if abs(product) > 1e-3 * float(last[1] @ last[1]):
+                inverse = inverse + np.outer(last[1] - inverse @ change, taken) / product
+        moved = np.clip(x + move - (inverse @ reached) * width, problem.lower, problem.upper) - x
+        last = reached, (moved - move) / width
+        move = moved
     return move
+
+
+def _pseudo_inverse(rows: FloatArray) -> FloatArray:
+    """Return the pseudo-inverse of a matrix whose rows have very different lengths."""
+    length = np.maximum(np.linalg.norm(rows, axis=1), 1e-300)
+    return np.asarray(np.linalg.pinv(rows / length[:, None], rcond=1e-12) / length)
+
+
+def _sums(
+    problem: GainProblem, x: FloatArray, means: tuple[ActiveFunction, ...], places: list[complex]
+) -> list[tuple[complex, ComplexArray]]:
+    """Return means and power sums of the clusters at a design, from the eigenvalues alone."""
+    loops = {mean.family: problem.families[mean.family].states(x) for mean in means}
+    spectra = {(f, i): eigenvalues(loops[f][i : i + 1])[0] for f, i in {(one.family, one.loop) for one in means}}
+    found = []
+    for mean, place in zip(means, places, strict=True):
+        values = spectra[mean.family, mean.loop]
+        members = values[np.argsort(np.abs(values - place), kind="stable")[: mean.size]]
+        found.append(power_sums(members, max(abs(place), 0.01 * problem.scale)))
+    return found

@@ -1,0 +1,1 @@
+"""Steps of the local optimisation: quadratic programmes over the functions near the worst one."""
