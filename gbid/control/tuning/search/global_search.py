@@ -28,8 +28,6 @@ _HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
 _FINALISTS = 3
 """Largest number of finalists where more than eigenvalues counts: their rough optimisation already is nearly full."""
-_NEARLY = 0.05
-"""Difference of merit within which a rough design may still become the best one."""
 _SAME = 1e-3
 """Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
 _PROGRESS = 3e-4
@@ -125,13 +123,12 @@ def search(
     rough: list[LocalOptimum] = []
     if d in _GRID and effort.starts is None:
         for x in (*given, *grid_starts(problem, given[0], climber.unit, _GRID[d], effort.finalists)):
-            goal = climber.goal(rough) - _NEARLY
-            rough.append(optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False, goal=goal))
+            rough.append(optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False))
         note("global", _best(rough).score)
     else:
         n = effort.starts if effort.starts is not None else climber.starts
         for start in (*given, *random_starts(problem, given[0], climber.unit, n, effort.seed)):
-            rough.append(climber.rough(start, climber.goal(rough)))
+            rough.append(climber.rough(start))
             note("global", _best(rough).score)
             if problem.exhausted:
                 break
@@ -141,7 +138,7 @@ def search(
         same = (problem.upper - problem.lower) * (_SAME if d in _GRID else 1e-6)
         if any((np.abs(start.x - other.x) <= same).all() for other in finals):
             continue
-        finals.append(start if problem.exhausted else climber.full(start.x, climber.goal(finals)))
+        finals.append(start if problem.exhausted else climber.full(start.x))
         note("local", _best(finals).score)
     best = _best(finals)
     if d not in _GRID and effort.hops and not _settled(problem, climber, finals):
@@ -150,7 +147,7 @@ def search(
         if climber.free:
             apart = _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]
             best = _best([_hop_basins(climber, start, rng, effort.hops, kinds, note) for start in apart])
-        best = _hop_basins(climber, best, rng, effort.hops, (2 if climber.free else 3) * kinds, note)
+        best = _hop_basins(climber, best, rng, effort.hops, (2 if climber.free else 5) * kinds, note)
     if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
@@ -207,21 +204,17 @@ class Climber:
         """Sizes of random moves."""
         return _FREE_HOPS if self.free else _HOP_SIZES
 
-    def goal(self, found: list[LocalOptimum]) -> float:
-        """Return the merit of the best of some designs, below which another one is of no use."""
-        return max((merit(one.score, PENALTY) for one in found), default=-np.inf)
-
-    def rough(self, start: FloatArray, goal: float) -> LocalOptimum:
-        """Return a design near a start that is better, with few evaluations; less good where the goal is far."""
+    def rough(self, start: FloatArray) -> LocalOptimum:
+        """Return a design near a start that is better, with few evaluations."""
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
-        return optimise_locally(self.problem, start, max_iterations=100, tolerance=1e-5, goal=goal - _NEARLY)
+        return optimise_locally(self.problem, start, max_iterations=100, tolerance=1e-5)
 
-    def full(self, start: FloatArray, goal: float) -> LocalOptimum:
-        """Return a local optimum; less good where the goal is far."""
+    def full(self, start: FloatArray) -> LocalOptimum:
+        """Return a local optimum."""
         if self.free:
-            start, goal = self._ascent(start, 200 + 60 * len(start)).x, -np.inf
-        return optimise_locally(self.problem, start, max_iterations=300, goal=goal)
+            start = self._ascent(start, 200 + 60 * len(start)).x
+        return optimise_locally(self.problem, start, max_iterations=300)
 
     def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
         """Return the local optimum after a random move of some size; less good where it will not be better."""
@@ -229,7 +222,9 @@ class Climber:
         step = size * rng.standard_normal(len(x))
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=self.goal([best]))
+            return optimise_locally(
+                self.problem, moved, max_iterations=60, radius=0.02, goal=merit(best.score, PENALTY)
+            )
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import matrix_balance
 from scipy.linalg.lapack import zgees
 
 from gbid.arrays import ComplexArray, FloatArray
@@ -77,8 +78,11 @@ class ModalResponse:
     def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
         """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
         if loop not in self._forms:
-            form, _, _, basis, *_ = zgees(lambda _: None, self._loops.A[loop])
-            self._forms[loop] = form, basis.conj().T @ self._loops.B[loop], self._loops.C[loop, self._rows] @ basis
+            # a Schur form is only as good as the units of the states
+            A, (unit, _) = matrix_balance(self._loops.A[loop], permute=False, separate=True)
+            form, _, _, basis, *_ = zgees(lambda _: None, A)
+            B, C = self._loops.B[loop] / unit[:, None], self._loops.C[loop, self._rows] * unit
+            self._forms[loop] = form, basis.conj().T @ B, C @ basis
         form, B, C = self._forms[loop]
         n, n_d = B.shape
         # row i of (j w - T) X = B, for all frequencies and inputs side by side
