@@ -17,7 +17,7 @@ from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
-_USELESS = 1e8
+_USELESS = 1e7
 """Condition of an eigenvalue from which on responses are computed without eigenvectors."""
 _STEPS = np.linspace(0.0, 1.0, 9)
 _NEAR = 0.9

@@ -303,10 +303,7 @@ class GainProblem:
     def _responses(
         self, every: Sequence[Loops], systems: Sequence[Eigensystem] | None = None, room: float = np.inf
     ) -> list[tuple[str, int, Peaks, float]]:
-        """Return the peaks of all limited responses of all families, for given matrices (and eigenvalues).
-
-        Peaks that are below their limits by more than `room`, in the logarithm, may be left out.
-        """
+        """Return the peaks of all limited responses; those lower than their limit by `room`, as log, may be missing."""
         found: list[tuple[str, int, Peaks, float]] = []
         if not self.limits.has_responses:
             return found
