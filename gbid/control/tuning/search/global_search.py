@@ -30,6 +30,8 @@ _FINALISTS = 3
 """Largest number of finalists where more than eigenvalues counts: their rough optimisation already is nearly full."""
 _SAME = 1e-3
 """Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
+_ROUNDS = 3
+"""Largest number of rounds of random moves with limits, as long as the best design has no certificate."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
 _NEAR = 1e-4
@@ -147,7 +149,10 @@ def search(
         if climber.free:
             apart = _apart(finals, 0.1 * (problem.upper - problem.lower))[:_HOPPED]
             best = _best([_hop_basins(climber, start, rng, effort.hops, kinds, note) for start in apart])
-        best = _hop_basins(climber, best, rng, effort.hops, (2 if climber.free else 5) * kinds, note)
+        for _ in range(1 if climber.free else _ROUNDS):
+            best = _hop_basins(climber, best, rng, effort.hops, (2 if climber.free else 3) * kinds, note)
+            if climber.free or certify(problem, best.x, certificate_units(climber.unit, best.x))[0].holds:
+                break
     if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
