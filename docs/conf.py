@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +29,10 @@ project_copyright = "The gbid developers"
 release = version = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.mathjax", "sphinx_copybutton"]
-html_static_path = ["_static"]
-mathjax_path = "mathjax/tex-svg-full.js"  # MathJax 3.2.2 with letters and extensions in one file: no network
+# MathJax with its letters and extensions in one file, from a package: formulas need no network.
+_MATHJAX = Path(str(find_spec("sphinx-mathjax-offline").origin)).parent / "static" / "mathjax" / "tex-svg-full.js"
+html_static_path = [str(_MATHJAX)]
+mathjax_path = _MATHJAX.name
 copybutton_prompt_text = "$ "
 copybutton_only_copy_prompt_lines = False
 copybutton_selector = "div.highlight:not(.cell_output *) pre"
