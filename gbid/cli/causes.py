@@ -36,7 +36,7 @@ def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str,
     """Return the lines on what failed by itself; the last one is the first failure with the exit code.
 
     Results whose inputs failed in the same run are left out: the progress has told of them. Where nothing failed by
-    itself, the inputs were missing before, and each stage has a line with the first of its reasons.
+    itself, the inputs were missing before, and each stage has a line with the first of its reasons, or with the name of its only result.
 
     Parameters
     ----------
@@ -50,8 +50,11 @@ def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str,
     roots = [outcome for outcome in failed if is_first_cause(outcome)]
     if not roots:
         counts = Counter(outcome.stage for outcome in failed)
-        texts = {outcome.stage: outcome.text for outcome in reversed(failed)}
-        return [f"error: {not_made(stage, count, texts[stage])}" for stage, count in reversed(counts.items())]
+        firsts = {outcome.stage: outcome for outcome in reversed(failed)}
+        return [
+            _line(firsts[stage]) if count == 1 else f"error: {not_made(stage, count, firsts[stage].text)}"
+            for stage, count in reversed(counts.items())
+        ]
     first = next((o for o in roots if codes.get(o.cause) == code_of), roots[0])
     rest = [outcome for outcome in roots if outcome is not first]
     lines = [_line(outcome) for outcome in rest[:_LISTED]]
