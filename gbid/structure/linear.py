@@ -289,7 +289,7 @@ def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
                 rows = [rows] if letter == "C" else [[entry] for entry in rows]
             if rows and not any(rows):  # no columns, as B of a structure without inputs
                 return ca.SX(len(rows), 0)
-            found = ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows))
+            found = ca.SX(ca.vertcat(*(ca.horzcat(*(ca.SX(entry) for entry in row)) for row in rows)))
     except Exception as error:
         raise UsageError(f"{where}: {letter} is not a matrix: {in_one_line(error)}") from None
     if _contains_nan(found):

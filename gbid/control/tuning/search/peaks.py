@@ -17,8 +17,10 @@ from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
 _BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
-_USELESS = 1e7
-"""Condition of an eigenvalue from which on responses are computed without eigenvectors."""
+_SUSPECT = 1e6
+"""Largest entry of left eigenvectors up to which a response needs no check."""
+_WRONG = 1e-9
+"""Relative error of a response from which on it is computed without eigenvectors."""
 _STEPS = np.linspace(0.0, 1.0, 9)
 _NEAR = 0.9
 """Share of a gain that matters which a grid point near a peak of that gain reaches."""
@@ -53,10 +55,12 @@ class ModalResponse:
         m, n_y, n = C.shape
         outputs, inputs = (C @ modes.right).transpose(0, 2, 1), modes.left @ loops.B
         self._residues = (outputs[:, :, :, None] * inputs[:, :, None, :]).reshape(m, n, n_y * inputs.shape[2])
-        # a sum of products of corresponding entries does not change with the units of the states
-        shares = np.abs(modes.left * modes.right.transpose(0, 2, 1)).sum(axis=2)
-        self._useless = ~(shares.max(axis=1) < _USELESS)
         self._forms: dict[int, tuple[ComplexArray, ComplexArray, ComplexArray]] = {}
+        self._useless = np.zeros(m, bool)
+        # large entries may come from units of the states, or from eigenvectors that are nearly parallel
+        suspect = np.flatnonzero(~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT))
+        if len(suspect):
+            self._useless[suspect] = ~(self._error(suspect) < _WRONG)
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
@@ -74,6 +78,19 @@ class ModalResponse:
         for loop in np.unique(loops[useless]) if useless.any() else ():
             found[loops == loop] = self._without_modes(loop, frequency[loops == loop])
         return np.asarray(found)
+
+    def _error(self, loops: IntArray) -> FloatArray:
+        """Return the relative error of the responses of some loops at two frequencies, from a direct solution."""
+        size = np.sort(np.abs(self._poles[loops]), axis=1)
+        frequency = size[:, [size.shape[1] // 4, size.shape[1] // 2]]
+        A, B, C = self._loops.A[loops], self._loops.B[loops], self._loops.C[loops][:, self._rows]
+        shifted = 1j * frequency[:, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
+        try:
+            exact = C[:, None] @ np.linalg.solve(shifted, B[:, None].astype(complex)) + self._D[loops][:, None]
+        except np.linalg.LinAlgError:  # a pole on one of the frequencies
+            return np.full(len(loops), np.inf)
+        off = np.abs(self(frequency, loops) - exact).max(axis=(1, 2, 3))
+        return np.asarray(off / np.abs(exact).max(axis=(1, 2, 3)))
 
     def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
         """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
