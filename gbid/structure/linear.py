@@ -283,6 +283,8 @@ def _as_matrix(value: Any, letter: str, where: str) -> ca.SX:
         if isinstance(value, ca.SX | ca.DM):
             found = ca.SX(value)
         else:
+            if isinstance(value, np.ndarray) and not value.size:
+                return ca.SX(*np.atleast_2d(value).shape)
             given = value.tolist() if isinstance(value, np.ndarray) else value
             rows = list(given) if isinstance(given, list | tuple) else [given]
             if rows and not any(isinstance(row, list | tuple) for row in rows):

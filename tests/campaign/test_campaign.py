@@ -443,12 +443,14 @@ def test_progress_of_many(tmp_path, damage, capsys):
     lines = captured.err.splitlines()
     assert lines[0] == "import: 14 to make"
     if damage is None:
-        assert len(lines) == 6
+        assert len(lines) == 7
+        assert lines[-1].startswith("next: gbid ")
         assert lines[1].startswith("import: 14 of 14 done")
         assert re.fullmatch(r"fit: 14 of 14 done, \d+ s, worst fit 9\d\.\d % \(spring/run\d+\)", lines[3])
     else:
         assert sum(line.startswith("import run") for line in lines) == 10  # the first ones at once
-        assert sum(line.startswith("gbid: error: import run") for line in lines) == 14
+        assert sum(line.startswith("gbid: error: import run") for line in lines) == 11  # ten, and the first as the last
+        assert "gbid: error: 3 more failed; `--json` lists all" in lines
         assert re.search(r"^spring +14 +0 +14", captured.out, re.MULTILINE)
 
 

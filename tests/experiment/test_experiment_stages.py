@@ -409,8 +409,9 @@ def saturated(columns):
     columns["position [um]"][:] = np.clip(columns["position [um]"], -8, 8)
 
 
-def jumping_clock(columns):
-    columns["time [s]"][900:] += 0.01
+def uneven_clock(columns):
+    step = columns["time [s]"][1] - columns["time [s]"][0]
+    columns["time [s]"][900:] -= 0.5 * step
 
 
 def short(columns):
@@ -424,7 +425,7 @@ def short(columns):
         (nan, ["position", "not finite", "sample 700"]),
         (constant, ["'y'", "is constant"]),
         (saturated, ["'y'", "is saturated", "rests_at_limits"]),
-        (jumping_clock, ["time", "jumps at sample 900"]),
+        (uneven_clock, ["time", "steps differ from the median step", "sample_time_s"]),
         (short, ["20 samples", "at least 100"]),
     ],
 )

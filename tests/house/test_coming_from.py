@@ -1,6 +1,7 @@
 """Every line of the tables of "coming from" is executed: what a newcomer types first must be there."""
 
 import re
+from pathlib import Path
 
 import pytest
 from places import DOCS
@@ -13,7 +14,7 @@ ROWS = [match.groups() for match in ROW.finditer(PAGE.read_text(encoding="utf-8"
 
 @pytest.fixture(scope="module")
 def names(tmp_path_factory):
-    """Names of the hidden cells and of the process model, which the tables use."""
+    """Names of the hidden cells and of the process model, which the tables use, and the folder of their files."""
     known = {"__name__": "__main__"}
     hidden = [cell for cell in cells(PAGE) if "savemat" in cell or "SensorChain" in cell]
     process = [cell[: cell.index("found =")] for cell in cells(PAGE) if "process =" in cell]
@@ -21,7 +22,7 @@ def names(tmp_path_factory):
         patch.chdir(tmp_path_factory.mktemp("newcomer"))
         for cell in (*hidden, *process):
             exec(compile(cell, PAGE.name, "exec"), known)
-        yield known
+        return known, Path.cwd()
 
 
 def test_the_tables_are_read():
@@ -33,8 +34,10 @@ def test_the_tables_are_read():
 
 
 @pytest.mark.parametrize(("there", "here"), ROWS, ids=[there.replace("`", "") for there, _ in ROWS])
-def test_each_line_runs(there, here, names):
+def test_each_line_runs(there, here, names, monkeypatch):
+    known, folder = names
+    monkeypatch.chdir(folder)
     for code in re.findall(r"`([^`]+)`", here):
         if code.startswith("gbid ") or code in ("p", "r"):
             continue  # a command, which tests/house/test_docs.py looks up; signals
-        eval(compile(code, there, "eval"), names)
+        eval(compile(code, there, "eval"), known)

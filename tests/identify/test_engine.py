@@ -353,7 +353,7 @@ def test_without_a_compiler_the_numpy_pass_is_used_and_said(fresh, tmp_path):
     assert result.success
     assert result.options.engine == "numpy"
     said = [note for note in result.notes if "numpy pass" in note]
-    assert said == ["no C compiler found (/nonexistent/cc): the slower numpy pass was used"]
+    assert said == ["no C compiler found (/nonexistent/cc): the slower numpy pass was used [GB116]"]
     assert list(tmp_path.iterdir()) == []
     with pytest.raises(UsageError, match=r"engine = 'compiled': no C compiler found \(/nonexistent/cc\)"):
         fit(MODE, DATA, engine="compiled")

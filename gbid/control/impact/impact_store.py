@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import h5py
+import numpy as np
 
 from gbid import hdf5
 from gbid.control.impact.figures_of_merit import ImpactFigures
@@ -40,7 +41,12 @@ def _spread(group: h5py.Group, name: str, row: type, whole: tuple[str, ...] = ()
         hdf5.add_dataset(group, f"{name}/{field.name}", numbers, "", field.name)
 
 
-KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema_1,))
+def _from_schema_2(file: h5py.File) -> None:
+    """Add the further oscillations of a ring-down, of which there were none."""
+    hdf5.add_dataset(file["ringdown"], "oscillations", np.zeros((0, 2)), "Hz, 1", "decays that oscillate")
+
+
+KIND = hdf5.FileKind("impact", "make it again with `gbid impact`", (_from_schema_1, _from_schema_2))
 
 
 def save_impacts(study: ImpactStudy, path: str | Path, overwrite: bool = False) -> None:
