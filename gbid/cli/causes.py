@@ -36,7 +36,8 @@ def causes_in_words(failed: Sequence[Outcome], code_of: int, codes: Mapping[str,
     """Return the lines on what failed by itself; the last one is the first failure with the exit code.
 
     Results whose inputs failed in the same run are left out: the progress has told of them. Where nothing failed by
-    itself, the inputs were missing before, and each stage has a line with the first of its reasons, or with the name of its only result.
+    itself, the inputs were missing before, and each stage has a line with the first of its reasons, or
+    with the name of its only result.
 
     Parameters
     ----------
