@@ -80,7 +80,8 @@ class ReaderProcess:
             answer = None
             timer.start()
             try:
-                answer = _answer(child, (limits, read, path, *arguments))
+                folder = None if path.is_absolute() else Path.cwd()  # that of the process may be another
+                answer = _answer(child, (limits, folder, read, path, *arguments))
             finally:
                 in_time = timer.is_alive()
                 timer.cancel()
@@ -165,10 +166,12 @@ def serve() -> None:
     answers.flush()
     while True:
         try:
-            limits, read, path, *arguments = pickle.load(requests)  # from the process that started this one
+            limits, folder, read, path, *arguments = pickle.load(requests)  # from the process that started this one
         except EOFError:
             return
         _set(limits)
+        if folder is not None:
+            os.chdir(folder)
         _send(answers, _outcome(read, path, arguments))
 
 

@@ -182,7 +182,11 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
 def test_workers_end_within_two_seconds_of_their_runner(tmp_path, sent):
     path = write_springs(tmp_path, 4, fit="focus: simulation, engine: numpy, multi_start: {starts: 3000}")  # minutes
-    process = batch(path, "--engine", "pool", "--workers", "2", start_new_session=True)
+
+    def hear():  # under nohup the tests, and what they start, would be deaf to SIGHUP
+        signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+    process = batch(path, "--engine", "pool", "--workers", "2", start_new_session=True, preexec_fn=hear)
     for _ in range(4):  # the imports; fits follow
         process.stderr.readline()
     time.sleep(0.5)

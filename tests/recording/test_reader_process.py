@@ -4,6 +4,7 @@ import subprocess
 import sys
 import time
 import zipfile
+from pathlib import Path
 
 import bad_readers
 import h5py
@@ -29,6 +30,12 @@ def file(tmp_path):
 
 def test_answers_come_back_whatever_a_library_prints(file):
     assert [read_apart(bad_readers.good, file, k) for k in (1, 2)] == [1000, 2000]
+
+
+def test_a_relative_path_counts_from_the_folder_of_the_request(file, monkeypatch):
+    read_apart(bad_readers.good, file, 1)  # the process is there, in another folder
+    monkeypatch.chdir(file.parent)
+    assert read_apart(bad_readers.good, Path(file.name), 1) == 1000
 
 
 @pytest.mark.parametrize(
