@@ -47,3 +47,17 @@ class ChangedFileWarning(UserWarning):
 
 class ExtrapolationWarning(UserWarning):
     """A model is evaluated outside the domain it was identified on."""
+
+
+def from_interrupt(error: BaseException) -> bool:
+    """Return whether an error hides a Ctrl-C.
+
+    CasADi makes a RuntimeError of a Ctrl-C within one of its callbacks. A library that ends its work on the way out may
+    fail in turn, and Python then keeps the KeyboardInterrupt as the context of that failure.
+    """
+    found: BaseException | None = error
+    while found is not None:
+        if isinstance(found, KeyboardInterrupt) or "KeyboardInterrupt" in str(found):
+            return True
+        found = found.__cause__ or found.__context__
+    return False

@@ -15,7 +15,7 @@ import typer
 
 from gbid.cli.printing import print_json
 from gbid.cli.telling import tell
-from gbid.errors import GbidError
+from gbid.errors import GbidError, from_interrupt
 
 INTERRUPTED = 130
 _SOON_S = 0.05
@@ -41,11 +41,11 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
         raise
     except KeyboardInterrupt:
         _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
-    except GbidError as error:
-        _end(str(error).splitlines(), error.exit_code, "error: ", as_json, debug)
     except Exception as error:
-        if "KeyboardInterrupt" in str(error):  # CasADi makes a RuntimeError of Ctrl-C within one of its callbacks
+        if from_interrupt(error):
             _end(_INTERRUPTED, INTERRUPTED, "", as_json, debug)
+        if isinstance(error, GbidError):
+            _end(str(error).splitlines(), error.exit_code, "error: ", as_json, debug)
         text = f"{type(error).__name__}: {error} (a defect of gbid, not of your input; please report it"
         hint = ")" if debug else " with what --debug shows)"
         _end([" ".join((text + hint).split())], 1, "defect: ", as_json, debug)

@@ -136,6 +136,19 @@ def test_an_interruption_that_python_ignores_comes_again(capsys):
     assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
 
 
+def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
+    def body():
+        try:
+            raise KeyboardInterrupt
+        finally:
+            None.pos  # noqa: B018  # as a library that closes a file that was not begun
+
+    with pytest.raises(typer.Exit) as end, guarded():
+        body()
+    assert end.value.exit_code == 130
+    assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
+
+
 def test_doctor_has_a_verdict_on_everything(capsys, monkeypatch, tmp_path):
     from gbid.compiling.compiler import find_compiler
 

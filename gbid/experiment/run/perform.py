@@ -8,7 +8,7 @@ from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from gbid.errors import DataError, GbidError, NoSpaceError
+from gbid.errors import DataError, GbidError, NoSpaceError, from_interrupt
 from gbid.experiment.keys import is_current, writing_keyed
 from gbid.experiment.run.failures import Failure, forget_failure, remember_failure, remembered_failure
 from gbid.experiment.run.inputs import cause_of
@@ -112,7 +112,7 @@ def perform(job: Job, task: Task) -> Outcome:
     except NoSpaceError:
         raise
     except Exception as error:
-        if "KeyboardInterrupt" in str(error):  # CasADi makes a RuntimeError of Ctrl-C within one of its callbacks
+        if from_interrupt(error):
             raise KeyboardInterrupt from None
         failure = _failure_of(task, error)
     return fail(job, task, failure)
