@@ -54,6 +54,11 @@ def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> FloatAr
     return np.stack([term * np.ones(P.shape) for term in basis(P, Omega)], axis=-1)
 
 
+def monomials(points: FloatArray, exponents: Sequence[Sequence[int]]) -> FloatArray:
+    """Return the terms ``P^i Omega^j ...`` of points (..., n_variables) in their own units, shape (..., n_terms)."""
+    return np.stack([np.prod(points ** np.array(e), axis=-1) for e in exponents], axis=-1)
+
+
 def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -> Any:
     """Return the sum of coefficients times terms.
 

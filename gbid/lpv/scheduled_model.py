@@ -12,6 +12,7 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
 from gbid.errors import ExtrapolationWarning, UsageError
+from gbid.lpv.basis import monomials
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
 
@@ -141,7 +142,7 @@ class ScheduledModel(Brief):
 
     def terms(self, values: FloatArray) -> FloatArray:
         """Return the terms of the polynomials at points `values`, (..., n_variables), as an array (..., n_terms)."""
-        return np.stack([np.prod(values ** np.array(e), axis=-1) for e in self.exponents], axis=-1)
+        return monomials(values, self.exponents)
 
     def checked(self, point: tuple[npt.ArrayLike, ...], extrapolate: bool) -> FloatArray:
         """Return `point` as an array (..., n_variables); outside of the domain it is refused unless `extrapolate`."""

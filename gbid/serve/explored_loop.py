@@ -16,6 +16,7 @@ from gbid.control.loop.margins import static_amplification
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.loop.sampled import exact_plant
 from gbid.errors import UsageError
+from gbid.poles import is_real, oscillatory_modes
 from gbid.report.reader.designs import AssessedDesign
 from gbid.structure import LinearModel
 
@@ -104,7 +105,7 @@ def explored_loop(design: AssessedDesign, asked: Explored) -> dict[str, Any]:
         "static_amplification": _finite(static_amplification(loop) if stable else inf),
         "modes": _modes(rates),
         "open_modes": _modes(_rates(plant)),
-        "real": sorted(float(rate.real) for rate in rates[np.abs(rates.imag) <= 1e-9 * np.abs(rates)]),
+        "real": sorted(rates[is_real(rates)].real.tolist()),
         "frequency_hz": frequency.tolist(),
         "largest": largest_singular_values(S).tolist(),
         "xx": np.abs(S[:, 0, 0]).tolist(),
@@ -124,9 +125,7 @@ def _rates(model: LinearModel) -> ComplexArray:
 
 def _modes(rates: ComplexArray) -> list[list[float]]:
     """Return frequency [Hz], damping factor and decay rate [1/s] of the oscillatory modes, by frequency."""
-    upper = rates[rates.imag > 1e-9 * np.abs(rates)]
-    rows = [[float(abs(s)) / (2 * np.pi), float(-s.real / abs(s)), float(-s.real)] for s in upper]
-    return sorted(rows)
+    return [[hz, damping, 2 * np.pi * hz * damping] for hz, damping in oscillatory_modes(rates).tolist()]
 
 
 def _drawn(positions: Any, place: int) -> list[float | None]:

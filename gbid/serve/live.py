@@ -75,3 +75,7 @@ class Live:
             if not self._designs[1]:
                 raise UsageError("no controller yet; run `gbid tune` or `gbid run`")
             return self._designs[1]
+
+    def known_designs(self) -> dict[str, AssessedDesign]:
+        """Return the designs as the explorer last read them: a slider asks often, and reading takes time."""
+        return self._designs[1] or self.designs()

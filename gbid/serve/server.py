@@ -103,7 +103,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _loop(self, asked: dict[str, str]) -> str:
         """Return the loop of a design as JSON; numbers in the query are operating point and gains."""
-        designs = self._live.designs()
+        designs = self._live.known_designs()
         name = asked.pop("design", next(iter(designs)))
         if name not in designs:
             raise UsageError(f"no design {name!r}; there are {', '.join(designs)}")

@@ -150,7 +150,8 @@ def test_explored_loop_that_is_unstable_and_wrong_questions():
 def test_the_explorer_in_a_browser(served, monkeypatch):
     server, _ = served
     designs = {"PD": design_of("PD", GAINS), "biquad": design_of("biquad", biquad_gains())}
-    monkeypatch.setattr("gbid.serve.live.Live.designs", lambda self: designs)
+    for name in ("designs", "known_designs"):
+        monkeypatch.setattr(f"gbid.serve.live.Live.{name}", lambda self: designs)
     arguments = ("--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=8000", "--dump-dom")
     made = subprocess.run(
         [CHROMIUM, *arguments, f"{server.address}explorer"], capture_output=True, text=True, timeout=120

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,7 +16,7 @@ from gbid.structure import Parameter
 
 
 @dataclass(frozen=True, eq=False)
-class GeneralPredictor:
+class GeneralPredictor(ABC):
     """Predictor of a structure for one set of free parameters, sample time, hold and focus.
 
     Attributes
@@ -106,10 +107,10 @@ class GeneralPredictor:
         """Return the outputs that the rows of `regressors` predict, shape (n_samples - horizon + 1, n_outputs)."""
         return outputs[self.horizon - 1 :]
 
+    @abstractmethod
     def at(self, theta: FloatArray) -> Any:
         """Return the predictor at values of the free parameters, shape (n_free,), as its kernel needs it."""
-        raise NotImplementedError
 
+    @abstractmethod
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        raise NotImplementedError

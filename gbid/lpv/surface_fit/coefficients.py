@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.errors import UsageError
 from gbid.extras import data_frame
 
-TRIES = 20
-"""Largest number of draws for each requested model."""
+_TRIES = 20  # largest number of draws for each requested model
 
 
 def coefficient_frame(
@@ -54,9 +55,15 @@ def covariance_at(terms: FloatArray, covariance: FloatArray, scatter: FloatArray
 
 
 def draws(
-    coefficients: FloatArray, covariance: FloatArray, scatter: FloatArray | None, n: int, seed: int
-) -> Iterator[FloatArray]:
-    """Return random coefficients (k, m), at most `TRIES` for each of n models.
+    coefficients: FloatArray,
+    covariance: FloatArray,
+    scatter: FloatArray | None,
+    n: int,
+    seed: int,
+    accepts: Callable[[FloatArray], bool],
+    refusal: tuple[str, str],
+) -> list[FloatArray]:
+    """Return n random coefficients (k, m) that are possible; others are rejected.
 
     Parameters
     ----------
@@ -68,15 +75,32 @@ def draws(
         Covariance of the deviation of one recording, added to the constant term; None for none.
     n, seed : int
         Number of models, and seed of the random numbers.
+    accepts : callable
+        From coefficients to whether they are possible.
+    refusal : (owner, what)
+        What is drawn, and what most draws are not, with what to do; for the message.
+
+    Raises
+    ------
+    UsageError
+        When almost all draws are rejected.
     """
     rng = np.random.default_rng(seed)
     root = _root(covariance)
     lift = None if scatter is None else _root(scatter)
-    for _ in range(TRIES * n):
-        drawn = coefficients + (root @ rng.normal(size=root.shape[1])).reshape(coefficients.shape)
-        if lift is not None:
-            drawn[:, 0] += lift @ rng.normal(size=lift.shape[1])
-        yield drawn
+
+    def every() -> Iterator[FloatArray]:
+        for _ in range(_TRIES * n):
+            drawn = coefficients + (root @ rng.normal(size=root.shape[1])).reshape(coefficients.shape)
+            if lift is not None:
+                drawn[:, 0] += lift @ rng.normal(size=lift.shape[1])
+            yield drawn
+
+    found = list(islice(filter(accepts, every()), n))
+    if len(found) < n:
+        owner, what = refusal
+        raise UsageError(f"{owner}: {len(found)} of {_TRIES * n} draws {what}")
+    return found
 
 
 def _root(covariance: FloatArray) -> FloatArray:

@@ -11,13 +11,12 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
-from gbid.errors import UsageError
 from gbid.hdf5 import NOT_STORED, Stored
 from gbid.identify import FitStatus
 from gbid.lpv.basis import TERMS, regressors
 from gbid.lpv.characteristics import Deviation, characteristics, deviations
 from gbid.lpv.model import LPVModel
-from gbid.lpv.surface_fit.coefficients import TRIES, coefficient_frame, covariance_at, draws
+from gbid.lpv.surface_fit.coefficients import coefficient_frame, covariance_at, draws
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
@@ -172,18 +171,22 @@ class LPVFit(Brief):
         """
         corners = [(p, w) for p in self.model.domain.pressure_bar for w in self.model.domain.speed_rpm]
         phi = regressors(*np.array([*corners, *self.model.operating_points]).T)
-        drawn: list[LPVModel] = []
-        for coefficients in draws(self.coefficients, self.covariance, self.scatter if scatter else None, n, seed):
-            if (phi @ coefficients[-2:].T > 0).all():
-                drawn.append(with_coefficients(self.model, coefficients, name=f"{self.model.name} {len(drawn) + 1}"))
-            if len(drawn) == n:
-                break
-        if len(drawn) < n:
-            raise UsageError(
-                f"model {self.model.name!r}: {len(drawn)} of {TRIES * n} draws have positive delays in the domain; "
-                "the delays are too uncertain to draw from (fix them in the fits, or record longer)"
-            )
-        return drawn
+        drawn = draws(
+            self.coefficients,
+            self.covariance,
+            self.scatter if scatter else None,
+            n,
+            seed,
+            lambda coefficients: bool((phi @ coefficients[-2:].T > 0).all()),
+            (
+                f"model {self.model.name!r}",
+                "have positive delays in the domain; the delays are too uncertain to draw from (fix them in the fits, "
+                "or record longer)",
+            ),
+        )
+        return [
+            with_coefficients(self.model, own, name=f"{self.model.name} {i}") for i, own in enumerate(drawn, start=1)
+        ]
 
 
 def with_coefficients(model: LPVModel, coefficients: FloatArray, **changes: Any) -> LPVModel:

@@ -13,7 +13,7 @@ from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
 from gbid.identify.result import FitResult
 from gbid.lpv.scheduled_model import ScheduledModel
-from gbid.lpv.surface_fit.coefficients import TRIES, covariance_at, draws
+from gbid.lpv.surface_fit.coefficients import covariance_at, draws
 from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
 from gbid.lpv.surface_fit.order import OrderScore
 from gbid.lpv.surface_fit.outliers import Outlier
@@ -130,18 +130,27 @@ class ScheduledFit(Brief):
         bounds = {p.name: (p.lower, p.upper) for p in self.model.structure.parameters}
         low, high = np.array([bounds[name] for name in names]).T
         terms = self.model.terms(np.array(self.model.operating_points))
-        drawn: list[ScheduledModel] = []
-        for coefficients in draws(self.coefficients, self.covariance, self.scatter if scatter else None, n, seed):
+
+        def possible(coefficients: FloatArray) -> bool:
             values = terms @ coefficients.T
-            if ((values >= low) & (values <= high)).all():
-                rows = {name: tuple(row) for name, row in zip(names, coefficients.tolist(), strict=True)}
-                drawn.append(replace(self.model, name=f"{self.model.name} {len(drawn) + 1}", coefficients=rows))
-            if len(drawn) == n:
-                return drawn
-        raise UsageError(
-            f"model {self.model.name!r}: {len(drawn)} of {TRIES * n} draws are within the bounds of the parameters; "
-            "the surfaces are too uncertain to draw from"
+            return bool(((values >= low) & (values <= high)).all())
+
+        drawn = draws(
+            self.coefficients,
+            self.covariance,
+            self.scatter if scatter else None,
+            n,
+            seed,
+            possible,
+            (
+                f"model {self.model.name!r}",
+                "are within the bounds of the parameters; the surfaces are too uncertain to draw from",
+            ),
         )
+        rows = [dict(zip(names, map(tuple, own.tolist()), strict=True)) for own in drawn]
+        return [
+            replace(self.model, name=f"{self.model.name} {i}", coefficients=own) for i, own in enumerate(rows, start=1)
+        ]
 
 
 def fit_scheduled(

@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.lpv.basis import EXPONENTS, SCHEDULING, TERMS
+from gbid.lpv.basis import EXPONENTS, SCHEDULING, TERMS, monomials
 
 Exponents = tuple[tuple[int, ...], ...]
 Order = int | Literal["auto"] | Sequence[str]
@@ -101,11 +101,6 @@ def chosen_exponents(order: int | Sequence[str], scheduling: Sequence[str] = SCH
         problem = f"{unknown[0]!r} is not a term" if unknown else "give each term once, and at least one"
         raise UsageError(f"order = {order!r}: {problem}; there are {', '.join(names)}, or {orders}, 'auto'")
     return tuple(there[names.index(name)] for name in sorted(chosen, key=names.index))
-
-
-def monomials(points: FloatArray, exponents: Exponents) -> FloatArray:
-    """Return the columns ``P^i Omega^j ...`` of points (n, n_variables) in their own units, shape (n, n_terms)."""
-    return np.stack([np.prod(points**e, axis=-1) for e in exponents], axis=-1)
 
 
 def orthonormal(points: FloatArray, exponents: Exponents, scheduling: Sequence[str] = SCHEDULING) -> Orthonormal:
