@@ -83,15 +83,45 @@ class Domain:
         for name, value in (("pressure_bar", pressure_bar), ("speed_rpm", speed_rpm)):
             if isinstance(value, ca.SX | ca.MX):
                 continue
-            low, high = getattr(self, name)
-            values = _numbers(name, value, owner)
-            outside = values[(values < low) | (values > high)]
-            if outside.size == 0:
-                continue
-            text = f"{owner}: {name} = {outside[0]:g} lies outside its domain [{low:g}, {high:g}]"
-            if not extrapolate:
-                raise UsageError(f"{text}; choose a point inside or set extrapolate=True")
-            warnings.warn(f"{text}: extrapolated", ExtrapolationWarning, stacklevel=stacklevel)
+            check_range(name, _numbers(name, value, owner), getattr(self, name), owner, extrapolate, stacklevel + 1)
+
+
+def check_range(
+    name: str, values: FloatArray, bounds: tuple[float, float], owner: str, extrapolate: bool, stacklevel: int
+) -> None:
+    """Refuse values of a scheduling variable outside its range, or warn when extrapolation is allowed.
+
+    Parameters
+    ----------
+    name, owner : str
+        Name of the variable, and what is evaluated, for the message.
+    values : array
+        Finite values.
+    bounds : (lowest, highest)
+        Range.
+    extrapolate : bool
+        Whether values outside are allowed.
+    stacklevel : int
+        Number of calls between this function and the call that the warning shows, as in `warnings.warn`.
+
+    Raises
+    ------
+    UsageError
+        When a value lies outside and `extrapolate` is not set.
+
+    Warns
+    -----
+    ExtrapolationWarning
+        When a value lies outside and `extrapolate` is set.
+    """
+    low, high = bounds
+    outside = values[(values < low) | (values > high)]
+    if outside.size == 0:
+        return
+    text = f"{owner}: {name} = {outside[0]:g} lies outside its domain [{low:g}, {high:g}]"
+    if not extrapolate:
+        raise UsageError(f"{text}; choose a point inside or set extrapolate=True")
+    warnings.warn(f"{text}: extrapolated", ExtrapolationWarning, stacklevel=stacklevel)
 
 
 def _numbers(name: str, value: Any, owner: str) -> FloatArray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -11,8 +10,9 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
-from gbid.errors import ExtrapolationWarning, UsageError
+from gbid.errors import UsageError
 from gbid.lpv.basis import monomials
+from gbid.lpv.domain import check_range
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
 
@@ -152,12 +152,5 @@ class ScheduledModel(Brief):
         if not np.isfinite(values).all():
             raise UsageError(f"model {self.name!r}: a scheduling variable is not finite")
         for i, name in enumerate(self.scheduling):
-            low, high = self.domain[name]
-            outside = values[..., i][(values[..., i] < low) | (values[..., i] > high)]
-            if not outside.size:
-                continue
-            text = f"model {self.name!r}: {name} = {outside[0]:g} lies outside its domain [{low:g}, {high:g}]"
-            if not extrapolate:
-                raise UsageError(f"{text}; choose a point inside or set extrapolate=True")
-            warnings.warn(f"{text}: extrapolated", ExtrapolationWarning, stacklevel=4)
+            check_range(name, values[..., i], self.domain[name], f"model {self.name!r}", extrapolate, stacklevel=5)
         return values

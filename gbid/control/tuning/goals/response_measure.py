@@ -13,7 +13,7 @@ from gbid.control.loop.margins import structured_singular_values
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.search.loop_family import Derivatives, Loops
 from gbid.control.tuning.search.measure import LoopState, Measure, Pieces
-from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes
+from gbid.control.tuning.search.peaks import Peaks, direct_response, find_peaks, peak_slopes
 from gbid.control.tuning.search.plane import true_frequencies
 
 
@@ -111,9 +111,7 @@ class ResponseMeasure(Measure):
         """
         if loops.D.shape[-1] != 2:
             return loops
-        n = loops.A.shape[-1]
-        M = loops.C @ np.linalg.solve(1j * frequency[:, None, None] * np.eye(n) - loops.A, loops.B.astype(complex))
-        M = M + loops.D
+        M = direct_response(loops.A, loops.B, loops.C, loops.D, frequency[:, None])[:, 0]
         ratio = np.sqrt((np.abs(M[:, 1, 0]) + 1e-300) / (np.abs(M[:, 0, 1]) + 1e-300)).clip(1e-6, 1e6)
         left = np.stack([ratio, np.ones(len(ratio))], axis=1)[:, :, None]
         right = 1 / left.transpose(0, 2, 1)

@@ -84,9 +84,8 @@ class ModalResponse:
         size = np.sort(np.abs(self._poles[loops]), axis=1)
         frequency = size[:, [size.shape[1] // 4, size.shape[1] // 2]]
         A, B, C = self._loops.A[loops], self._loops.B[loops], self._loops.C[loops][:, self._rows]
-        shifted = 1j * frequency[:, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
         try:
-            exact = C[:, None] @ np.linalg.solve(shifted, B[:, None].astype(complex)) + self._D[loops][:, None]
+            exact = direct_response(A, B, C, self._D[loops], frequency)
         except np.linalg.LinAlgError:  # a pole on one of the frequencies
             return np.full(len(loops), np.inf)
         off = np.abs(self(frequency, loops) - exact).max(axis=(1, 2, 3))
@@ -109,6 +108,12 @@ class ModalResponse:
             states[i] = (form[i, i + 1 :] @ states[i + 1 :] + inputs[i]) * resolvent[i]
         found = (C @ states).reshape(len(C), *frequency.shape, n_d).transpose(1, 2, 0, 3)
         return np.asarray(found + self._D[loop])
+
+
+def direct_response(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, frequency: FloatArray) -> ComplexArray:
+    """Return frequency responses of k loops at (k, f) frequencies [rad/s] by a solution at each: (k, f, n_y, n_d)."""
+    shifted = 1j * frequency[:, :, None, None] * np.eye(A.shape[-1]) - A[:, None]
+    return np.asarray(C[:, None] @ np.linalg.solve(shifted, B[:, None].astype(complex)) + D[:, None])
 
 
 def respond(loops: Loops, modes: Eigensystem, rows: slice, which: IntArray, frequency: FloatArray) -> ComplexArray:
