@@ -19,6 +19,10 @@ class UsageError(GbidError, ValueError):
     exit_code = 2
 
 
+class NoValueAtStartError(UsageError):
+    """Start values at which the equations have no finite value, or are too stiff for their integrator."""
+
+
 class DataError(GbidError, ValueError):
     """Recordings or result files that cannot be used."""
 

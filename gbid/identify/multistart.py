@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,13 +11,13 @@ import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import Brief, Description, brief
-from gbid.errors import DataError, UsageError
+from gbid.errors import DataError, NoValueAtStartError, UsageError
 from gbid.identify.fit import fit
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
 from gbid.notes.fit_notes import FitNote
 from gbid.recording import Recording
-from gbid.structure import AnyStructure
+from gbid.structure import AnyStructure, NonlinearStructure
 
 _SAME_LOSS = 1e-6  # largest relative difference of the losses of fits at one minimum
 _SAME_IN_STD = 0.1  # largest difference of their parameters, in standard deviations
@@ -56,7 +57,7 @@ class MultiStart(Brief):
         did not converge.
     losses : (n_starts,) array
         Losses in the order of the starts: the structure's own, the one from the data unless the structure's own was
-        found there, random ones. It is nan for a start that overflowed.
+        found there, random ones. It is nan for a start that overflowed or where the equations have no finite value.
     converged : (n_starts,) boolean array
         Whether each fit converged.
     same_optimum : int
@@ -127,9 +128,10 @@ def fit_multistart(
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")
     first = fit(structure, recordings, **options)
-    results = [first]
-    if starts > 1 and "data" not in first.start_origin.values():
-        results += _from_data(structure, recordings, options)
+    results = {0: first}
+    searched = not isinstance(structure, NonlinearStructure)  # start values are found in the data for linear ones only
+    if starts > 1 and searched and "data" not in first.start_origin.values():
+        results |= _from_data(structure, recordings, options)
     rng = np.random.default_rng(seed)
     given = options.pop("start", None)
     asked = {} if isinstance(given, str) else dict(given or {})
@@ -137,7 +139,7 @@ def fit_multistart(
     bounds = options.get("bounds") or {}
     own = first.own_names
     centres = {own.get(name, name): first.start[name] for name in first.free}  # one draw for all values of a local one
-    for _ in range(starts - len(results)):
+    for number in range(len(results), starts):
         drawn = dict(asked)
         for q in structure.parameters:
             if q.name in fixed or q.fixed or q.name not in centres:
@@ -147,29 +149,34 @@ def fit_multistart(
             half = reach * (abs(centre) if centre else 1.0)
             low, high = (lower, upper) if np.isfinite([lower, upper]).all() else (centre - half, centre + half)
             drawn[q.name] = float(np.clip(rng.uniform(low, high), lower, upper))
-        results.append(fit(structure, recordings, start=drawn, **options))
-    return _summary(results, seed)
+        with suppress(NoValueAtStartError):
+            results[number] = fit(structure, recordings, start=drawn, **options)
+    return _summary(results, starts, seed)
 
 
-def _from_data(structure: AnyStructure, recordings: Recording | Sequence[Recording], options: Any) -> list[FitResult]:
+def _from_data(
+    structure: AnyStructure, recordings: Recording | Sequence[Recording], options: Any
+) -> dict[int, FitResult]:
     """Return the fit from a start that is found in the data; none when the recordings do not suffice for that."""
     try:
-        return [fit(structure, recordings, **{**options, "start": "data"})]
+        return {1: fit(structure, recordings, **{**options, "start": "data"})}
     except DataError:
-        return []
+        return {}
 
 
-def _summary(results: Sequence[FitResult], seed: int) -> MultiStart:
-    losses = np.array([r.loss for r in results])
-    converged = np.array([r.success for r in results])
+def _summary(found: Mapping[int, FitResult], starts: int, seed: int) -> MultiStart:
+    """Return the results of numbered starts; those that are missing had no finite value."""
+    losses = np.array([found[i].loss if i in found else np.nan for i in range(starts)])
+    converged = np.array([i in found and found[i].success for i in range(starts)])
     finite = np.isfinite(losses)
-    best = results[int(np.argmin(np.where(finite, losses, np.inf)))]
+    best = found[int(np.argmin(np.where(finite, losses, np.inf)))]
     good = losses[converged & finite]
     same = int((np.abs(losses[finite] - best.loss) <= _SAME_LOSS * abs(best.loss)).sum())
     spread = float(good.max() / good.min()) if len(good) else np.inf
-    minima = distinct_minima(results)
+    numbers = list(found)
+    minima = tuple(replace(m, starts=tuple(numbers[i] for i in m.starts)) for m in distinct_minima([*found.values()]))
     tried = StartsTried(
-        len(results),
+        starts,
         seed,
         int(converged.sum()),
         same,
@@ -177,9 +184,9 @@ def _summary(results: Sequence[FitResult], seed: int) -> MultiStart:
         tuple(m.loss for m in minima),
         tuple(len(m.starts) for m in minima),
     )
-    if not best.success and len(results) > 1:
+    if not best.success and starts > 1:
         others = f"the smallest loss of a converged one is {good.min():.6g}" if len(good) else "none converged"
-        note = f"this fit has the smallest loss of {len(results)} starts, but did not converge; {others}"
+        note = f"this fit has the smallest loss of {starts} starts, but did not converge; {others}"
         best = replace(best, notes=(*best.notes, FitNote.BEST_DID_NOT_CONVERGE(note)))
     return MultiStart(replace(best, multi_start=tried), losses, converged, same, spread, minima)
 

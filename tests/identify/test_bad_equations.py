@@ -91,3 +91,29 @@ def test_a_model_that_overflows_is_fitted_in_shorter_windows():
     assert any("windows" in note for note in far.notes)
     assert far.success
     assert far.parameters["c"] == pytest.approx(near.parameters["c"], rel=1e-4)
+
+
+def test_random_starts_of_equations_without_a_value_there_are_counted_as_such():
+    def spring(x, u, p):
+        return [x[1], u[0] - 0.2 * x[1] - ca.sqrt(p.k) * x[0]]
+
+    structure = _made(spring, parameters=[Parameter("k", 1.0)])
+    found = gbid.fit_multistart(structure, duffing_recording(0, n=100), starts=5, reach=3.0, seed=1, engine="numpy")
+    assert 0 < np.isnan(found.losses).sum() < 4  # negative k
+    assert found.best.multi_start.starts == 5
+    assert sorted(i for m in found.minima for i in m.starts) == np.flatnonzero(~np.isnan(found.losses)).tolist()
+    with pytest.raises(UsageError, match="no search for start values in the data"):
+        gbid.fit(structure, duffing_recording(0, n=100), start="data")
+
+
+def test_one_state_and_one_dimensional_signals():
+    leak = NonlinearStructure("leak", K, "x", lambda x, u, p: u[0] - p.k * x[0], lambda x, u, p: x[0])
+    recording = duffing_recording(0, n=100)
+    u = recording.signal("u")
+    from gbid.structure import nonlinear_model
+
+    model = nonlinear_model(leak, {"k": 1.3}, steps=4)
+    y = model.simulate(u[:, 0], 0.1)
+    np.testing.assert_array_equal(model.predict(u[:, 0], y[:, 0], 0.1), y)
+    result = gbid.fit(leak, gbid.Recording({"u": u, "y": y}, 0.1, name="leak"), engine="numpy")
+    assert result.parameters["k"] == pytest.approx(1.3, rel=1e-3)

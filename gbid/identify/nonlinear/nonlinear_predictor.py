@@ -11,7 +11,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.discretise import check_holds
-from gbid.errors import UsageError
+from gbid.errors import NoValueAtStartError, UsageError
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nonlinear.sample_functions import SampleEquations, SampleFunctions, sample_functions
@@ -211,7 +211,7 @@ def _first_steps(structure: NonlinearStructure, begin: Mapping[str, float], samp
         return 1
     fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * sample_time
     if fastest > MOST_STEPS:
-        raise UsageError(
+        raise NoValueAtStartError(
             f"structure {structure.name!r}: the fastest pole at the start needs {fastest:.0f} steps in a sample: "
             "the equations are stiff; use integrator='implicit'"
         )

@@ -113,10 +113,8 @@ def sample_functions(own: SampleEquations) -> SampleFunctions:
     # Output of a sample.
     at = own.x + own.x0 * impulse if own.impulse else own.x
     (y,) = ca.substitute([own.y], [own.x, own.u], [at, u0])
-    onto = ca.SX(n_y, len(own.walking))
-    for column, output in enumerate(own.walking):
-        onto[output, column] = 1
-    y = y + onto @ at[n - len(own.walking) :]
+    for walk, output in enumerate(own.walking):
+        y[output] += at[n - len(own.walking) + walk]
     if own.disturbances.n_columns:
         gain = ca.SX(n_y, own.disturbances.n_columns)
         for row, column, coefficient in zip(*own.disturbances.places, ca.vertsplit(own.coefficients), strict=True):

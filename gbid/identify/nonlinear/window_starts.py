@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.errors import UsageError
+from gbid.errors import NoValueAtStartError
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.sweep import Sweep
 from gbid.identify.nonlinear.nonlinear_kernel import NonlinearKernel
@@ -42,7 +42,7 @@ def window_starts(
 
     Raises
     ------
-    UsageError
+    NoValueAtStartError
         When dynamics or output have no finite value at the start.
     """
 
@@ -112,7 +112,7 @@ def _check_finite(predictor: NonlinearPredictor, v: NonlinearValues, blocks: Blo
             return
     names = [*(f"output {i}" for i in range(predictor.n_outputs)), *(f"state {i}" for i in range(predictor.n_states))]
     wrong = ", ".join(name for name, value in zip(names, values, strict=True) if not np.isfinite(value))
-    raise UsageError(
+    raise NoValueAtStartError(
         f"at the start values the equations have no finite value ({wrong}, at x = {guess[0].round(6).tolist()} and the "
         "first sample); give other start values, or write the equations so that they are finite there"
     )

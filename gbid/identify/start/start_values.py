@@ -10,7 +10,7 @@ from gbid.errors import UsageError
 from gbid.identify.data import FitData, Record
 from gbid.identify.start.bearing_start import bearing_start
 from gbid.identify.start.lag_start import lag_start
-from gbid.structure import PiezoPair, Plant, RotorBearing, evaluate
+from gbid.structure import NonlinearStructure, PiezoPair, Plant, RotorBearing, evaluate
 from gbid.structure.rotor_bearing import AXES
 
 
@@ -90,7 +90,11 @@ def has_own_method(structure: Any) -> bool:
 def _as_given(structure: Any, given: Mapping[str, float]) -> dict[str, float]:
     missing = [q.name for q in structure.parameters if q.name not in given]
     if missing:
-        raise UsageError(f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start")
+        nonlinear = isinstance(structure, NonlinearStructure)
+        why = ": nonlinear structures have no search for start values in the data" if nonlinear else ""
+        raise UsageError(
+            f"structure {structure.name!r}: no start value for {', '.join(missing)}; give each a start{why}"
+        )
     return dict(given)
 
 

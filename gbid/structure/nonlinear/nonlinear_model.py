@@ -19,6 +19,7 @@ from gbid.hdf5 import Stored
 from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
+from gbid.structure.numeric.sampled_run import channels, check_sample_time
 
 _AT_ONCE = 4096  # samples of a simulation that CasADi holds at once
 
@@ -208,23 +209,15 @@ class NonlinearModel(Brief):
             As for `simulate`, or when the outputs do not fit.
         """
         u, following, x = self._run(inputs, sample_time, initial_state, intersample)
-        y = np.asarray(outputs, float)
-        if y.shape != (len(u), len(self.output_names)) or not np.isfinite(y).all():
-            expected = (len(u), len(self.output_names))
-            raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")
+        y = channels(self.name, "outputs", outputs, len(self.output_names), len(u))
         return self._over(self._step_with, x, (u, following, y), sample_time)
 
     def _run(
         self, inputs: npt.ArrayLike, sample_time: float, initial_state: Any, intersample: str | Sequence[str]
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return checked inputs, those at the end of each sample, and the first state."""
-        u = np.asarray(inputs, float)
-        if u.ndim != 2 or u.shape[1] != len(self.input_names) or not np.isfinite(u).all():
-            raise UsageError(
-                f"model {self.name!r}: inputs have shape {u.shape}, expected finite (n, {len(self.input_names)})"
-            )
-        if not sample_time > 0:
-            raise UsageError(f"model {self.name!r}: sample_time = {sample_time}; it must be above 0")
+        u = channels(self.name, "inputs", inputs, len(self.input_names))
+        check_sample_time(self.name, sample_time)
         start = np.zeros(self.n_states) if initial_state is None else initial_state
         held = np.array([hold == "zoh" for hold in check_holds(intersample, u.shape[1])], bool)
         return u, np.where(held, u, np.vstack([u[1:], u[-1:]])), self._sized("initial_state", start, self.n_states)

@@ -19,7 +19,7 @@ from gbid.poles import oscillatory_modes
 from gbid.structure.numeric.checked_fields import checked_fields
 from gbid.structure.numeric.frequency_domain import continuous_poles, frequency_response, static_gain
 from gbid.structure.numeric.interchange import control_state_space, from_state_space, scipy_state_space
-from gbid.structure.numeric.sampled_run import check_sample_time, sampled_run
+from gbid.structure.numeric.sampled_run import channels, check_sample_time, sampled_run
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,12 +229,7 @@ class LinearModel(Brief, Pictured):
             As for `simulate`, or when the outputs do not fit.
         """
         F, forcing, u, x0 = sampled_run(self, inputs, sample_time, initial_state, intersample)
-        y = np.asarray(outputs, float)
-        if y.ndim == 1 and self.C.shape[0] == 1:
-            y = y[:, None]
-        if y.shape != (len(u), self.C.shape[0]) or not np.isfinite(y).all():
-            expected = (len(u), self.C.shape[0])
-            raise UsageError(f"model {self.name!r}: outputs have shape {y.shape}, expected finite {expected}")
+        y = channels(self.name, "outputs", outputs, len(self.C), len(u))
         if self.K is not None:
             gain = np.array(self.K)
             if self.dt is None and sample_time is not None:

@@ -51,13 +51,7 @@ def sampled_run(
     UsageError
         As for `LinearModel.simulate`.
     """
-    u = np.asarray(inputs, float)
-    if u.ndim == 1 and model.B.shape[1] == 1:
-        u = u[:, None]
-    if u.ndim != 2 or u.shape[1] != model.B.shape[1]:
-        raise UsageError(f"model {model.name!r}: inputs have shape {u.shape}, expected (n_samples, {model.B.shape[1]})")
-    if not np.isfinite(u).all():
-        raise UsageError(f"model {model.name!r}: inputs hold values that are not finite")
+    u = channels(model.name, "inputs", inputs, model.B.shape[1])
     if model.dt is None:
         if sample_time is None:
             raise UsageError(f"model {model.name!r} is continuous: give the sample time [s]")
@@ -90,6 +84,36 @@ def _delayed_forcing(model: StateSpace, u: FloatArray, sample_time: float, holds
             rows = np.clip(np.arange(len(u)) - taps.shift + 1 - j, 0, len(u) - 1)
             forcing += u[rows, i : i + 1] @ column.T
     return forcing
+
+
+def channels(model: str, what: str, values: npt.ArrayLike, count: int, n_samples: int | None = None) -> FloatArray:
+    """Return signals as finite numbers, (n_samples, count); one channel may come as (n_samples,).
+
+    Parameters
+    ----------
+    model, what : str
+        Name of the model and word for the signals, for the text of an error.
+    values : array
+        The signals.
+    count : int
+        Number of channels.
+    n_samples : int, optional
+        Number of samples; any when left out.
+
+    Raises
+    ------
+    UsageError
+        For another shape, or values that are not finite.
+    """
+    found = np.asarray(values, float)
+    if found.ndim == 1 and count == 1:
+        found = found[:, None]
+    if found.ndim != 2 or found.shape[1] != count or n_samples not in (None, len(found)):
+        expected = "n_samples" if n_samples is None else n_samples
+        raise UsageError(f"model {model!r}: {what} have shape {found.shape}, expected ({expected}, {count})")
+    if not np.isfinite(found).all():
+        raise UsageError(f"model {model!r}: {what} hold values that are not finite")
+    return found
 
 
 def check_sample_time(model: str, sample_time: float) -> None:
