@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
 from gbid.recording import Recording
+
+
+class Channels(NamedTuple):
+    """Signals or channels of a recording: inputs and outputs of its structure."""
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,11 +157,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
     records = []
     names: tuple[list[str], list[str]] | None = None
     for recording in recordings:
-        if not np.isclose(recording.sample_time, first.sample_time, rtol=1e-6, atol=0):
-            raise DataError(
-                f"recordings {first.name!r} and {recording.name!r} have different sample times: "
-                f"{first.sample_time:g} s and {recording.sample_time:g} s; resample one, or fit them separately"
-            )
+        _check_sample_time(first, recording)
         u, u_names, _ = select(recording, inputs)
         y, y_names, y_units = select(recording, outputs)
         if names is not None and names != (u_names, y_names):
@@ -172,3 +176,29 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y), recording.conditions))
     assert names is not None
     return FitData(tuple(records), first.sample_time, tuple(names[0]), tuple(names[1]), tuple(y_units))
+
+
+def gather_own(recordings: Sequence[Recording], channels: Sequence[Channels], minimum: int) -> FitData:
+    """Return the data of a fit in which each recording has inputs of its own; the outputs are the same signals.
+
+    Parameters and errors are those of `gather`. The names of the inputs are those of the first recording.
+    """
+    own = [gather([r], *names, minimum) for r, names in zip(recordings, channels, strict=True)]
+    if not own:
+        raise DataError("no recordings to fit; give at least one")
+    for recording, one in zip(recordings, own, strict=True):
+        _check_sample_time(recordings[0], recording)
+        if one.output_names != own[0].output_names:
+            raise DataError(
+                f"recordings {recordings[0].name!r} and {recording.name!r} have different outputs, "
+                f"{', '.join(own[0].output_names)} and {', '.join(one.output_names)}; give their structures the same"
+            )
+    return replace(own[0], records=tuple(one.records[0] for one in own))
+
+
+def _check_sample_time(first: Recording, other: Recording) -> None:
+    if not np.isclose(other.sample_time, first.sample_time, rtol=1e-6, atol=0):
+        raise DataError(
+            f"recordings {first.name!r} and {other.name!r} have different sample times: "
+            f"{first.sample_time:g} s and {other.sample_time:g} s; resample one, or fit them separately"
+        )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -83,13 +83,13 @@ class Predictor(GeneralPredictor):
             When an exact delay is negative.
         """
         A, B, C, D, K, B_delayed, delay, x0 = self._evaluate(theta)
-        n_p, n_y = len(self.free), self.n_outputs
+        n_p, n_y, n = len(self.free), self.n_outputs, self.n_states - self.spare
         prompt, lead = list(self.prompt), self._lead
         acting = [B.columns(prompt)] if prompt else []
         if self.feeds_back:
             acting.append(K)
         holds = [self.holds[i] for i in prompt] + ["zoh"] * (n_y if self.feeds_back else 0)
-        joined = side_by_side(acting) if acting else constant(np.zeros((self.n_states, 0)), n_p)
+        joined = side_by_side(acting) if acting else constant(np.zeros((n, 0)), n_p)
         F, now, following = discretise(A, joined, self.sample_time, holds)
         Kd = now.columns(slice(len(prompt), None))
         # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
@@ -106,7 +106,7 @@ class Predictor(GeneralPredictor):
             feeds.append(constant(np.zeros((n_y, len(columns))), n_p))
             shift.append(taps.shift)
         if self.disturbances.n_columns:
-            drives.append(constant(np.zeros((self.n_states, self.disturbances.n_columns)), n_p))
+            drives.append(constant(np.zeros((n, self.disturbances.n_columns)), n_p))
             feeds.append(disturbing_columns(self.disturbances, theta))
         if self._has_impulse:
             drives.append(F @ x0)
@@ -120,17 +120,19 @@ class Predictor(GeneralPredictor):
         if self.horizon > 1:
             parts = look_ahead(parts, F, drive, C, feed, self.horizon)
         F, G, C, H = parts
-        return PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
+        own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
+        return _with_zero_states(own, self.spare) if self.spare else own
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
         """Return the matrices of the structure in continuous time with their derivatives, as in `Matrices`."""
         A, B, C, D, K, B_delayed, delay, _ = self._evaluate(theta)
-        own = slice(self.n_states - len(self.disturbances.walking))  # the states of random walks are the last
+        # the states of random walks are the last, but for spare ones
+        own = slice(self.n_states - self.spare - len(self.disturbances.walking))
         return [A.rows(own).columns(own), B.rows(own), C.columns(own), D, K.rows(own), B_delayed.rows(own), delay]
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        return self._evaluate(theta)[-1].value[:, 0]
+        return np.pad(self._evaluate(theta)[-1].value[:, 0], (0, self.spare))
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         n_p = len(self.free)
@@ -245,6 +247,18 @@ def build_predictor(
         _function=function,
         _shapes=tuple(matrix.shape for matrix in matrices),
     )
+
+
+def with_spare_states(predictor: Predictor, n_states: int) -> Predictor:
+    """Return a predictor with as many states as others of the same problem; the added ones are zero without effect."""
+    return replace(predictor, n_states=n_states, spare=predictor.spare + n_states - predictor.n_states)
+
+
+def _with_zero_states(v: PredictorValues, count: int) -> PredictorValues:
+    row, column, both = [(0, count), (0, 0)], [(0, 0), (0, count)], [(0, count)] * 2
+    slopes = zip((v.dF, v.dG, v.dC), (both, row, column), strict=True)
+    dF, dG, dC = (np.pad(slope, [(0, 0), *width]) for slope, width in slopes)
+    return PredictorValues(np.pad(v.F, both), np.pad(v.G, row), np.pad(v.C, column), v.H, dF, dG, dC, v.dH, v.shift)
 
 
 def noise_names(structure: Structure) -> frozenset[str]:

@@ -143,6 +143,32 @@ def test_truth_lies_within_three_standard_deviations(scattered, repeating):
     assert scatter_std[0] == pytest.approx(0.01 * abs(middle["k_xx"]), rel=0.35)
 
 
+def test_recordings_have_structures_of_their_own(one_point):
+    """Piezo positions or references as inputs, six or four states: flat surfaces are where each half alone would be."""
+    bearing = RotorBearing(disturbance_gain="none")
+    start, options = constant(truth_at(5.0, 4000.0)), {"focus": "simulation", "scatter": False}
+    own = {one_point[0].name: EXACT, one_point[1].name: bearing, one_point[2].name: bearing}
+    mixed = gbid.fit_lpv_direct(one_point, start, structure=own, fixed=FIXED, engine="numpy", **options)
+    halves = [
+        gbid.fit(EXACT, one_point[:1], focus="simulation", fixed=FIXED, criterion="trace"),
+        gbid.fit(bearing, one_point[1:], focus="simulation", criterion="trace"),
+    ]
+    assert mixed.success
+    assert mixed.options["structure"] == "plant, rotor_bearing"
+    keys = list(KEY_PARAMETERS)
+    places = [[half.free.index(key) for key in keys] for half in halves]
+    weights = [np.linalg.inv(half.covariance[np.ix_(at, at)]) for half, at in zip(halves, places, strict=True)]
+    values = [np.array([half.parameters[key] for key in keys]) for half in halves]
+    mean = np.linalg.solve(sum(weights), sum(w @ v for w, v in zip(weights, values, strict=True)))
+    std = np.sqrt(np.diag(np.linalg.inv(sum(weights))))
+    found = np.array([mixed.model.coefficients[key][0] for key in keys])
+    assert (np.abs(found - mean) < 0.5 * std).all()
+    with pytest.raises(UsageError, match="structure: no recording 'r9'"):
+        gbid.fit_lpv_direct(one_point, start, structure={"r9": EXACT})
+    with pytest.raises(UsageError, match=r"structure 'rotor_bearing' has no p1_x, .* which another has"):
+        gbid.fit_lpv_direct(one_point, start, structure=own)
+
+
 def test_each_recordings_own_estimate_is_that_of_its_single_fit():
     """One step from the shared solution arrives where a fit of the recording alone ends."""
     rng, terms = np.random.default_rng(4), ("1", "P", "Omega", "Omega P")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,8 @@ class GeneralPredictor(ABC):
         Time between samples [s].
     released : bool
         Whether initial states are functions of the parameters. They act like an impulse at the first sample.
+    spare : int
+        Number of states, the last ones, that are zero and without effect; see `with_spare_states`.
     """
 
     free: tuple[Parameter, ...]
@@ -62,6 +64,7 @@ class GeneralPredictor(ABC):
     horizon: int
     sample_time: float
     released: bool
+    spare: int = field(default=0, kw_only=True)
 
     @property
     def _lead(self) -> list[int]:

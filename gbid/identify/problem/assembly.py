@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 from gbid.arrays import BoolArray, IntArray
 from gbid.discretise import Hold
@@ -16,7 +16,7 @@ from gbid.identify.kernel.blocks import LANES
 from gbid.identify.kernel.engine import EngineName, RunEngine
 from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nlp.record_group import RecordGroup
-from gbid.identify.predictor import Focus
+from gbid.identify.predictor import Focus, Predictor, with_spare_states
 from gbid.identify.problem.either_kind import any_predictor
 from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
 from gbid.identify.problem.ties import Ties, tie_of
@@ -29,6 +29,13 @@ _MOST_WINDOWS = {
     "prediction": 64,
     "simulation": 192,
 }  # more samples make longer windows, because the solver's own work grows with the number of windows
+
+
+class OwnStructure(NamedTuple):
+    """Structure of one record, with the behaviour of its inputs between samples."""
+
+    structure: AnyStructure
+    intersample: Hold | Sequence[Hold]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +99,14 @@ def assemble(
     disturbances: Disturbances = UNDISTURBED,
     released: BoolArray | None = None,
     ties: Ties | None = None,
+    own: Sequence[OwnStructure] = (),
 ) -> Assembly:
     """Return the assembly of a fit from recordings and options.
 
     The parameters are those of `gbid.fit`. Its starts, bounds and fixed values are in `parameters` and `begin`. With
     `ties`, parameters of the structure are linear in further, shared unknowns. These are then the first of `free`.
-    `released` (n_records, n) marks the initial states that are functions of the parameters.
+    `released` (n_records, n) marks the initial states that are functions of the parameters. With `own`, each record has
+    a linear structure of its own; `parameters` are then those of all of them, and names that they share are shared.
 
     Raises
     ------
@@ -106,14 +115,18 @@ def assemble(
     """
     held = {q.name: begin[q.name] for q in parameters if q.fixed}
 
+    each = list(own) or [OwnStructure(structure, intersample)] * len(data.records)
+    models = [chosen for i, chosen in enumerate(each) if chosen not in each[:i]]
+    model_of = [models.index(chosen) for chosen in each]
+
     @cache
-    def predictor_for(kind: Focus, released: tuple[bool, ...]) -> GeneralPredictor:
+    def predictor_for(kind: Focus, released: tuple[bool, ...], model: int) -> GeneralPredictor:
         built = any_predictor(
-            structure,
+            models[model].structure,
             held,
             begin,
             data.sample_time,
-            intersample,
+            models[model].intersample,
             kind,
             disturbances=disturbances,
             horizon=horizon,
@@ -122,19 +135,33 @@ def assemble(
         known = {q.name: q for q in parameters}
         return replace(built, free=tuple(known.get(q.name, q) for q in built.free))
 
+    @cache
+    def filled(chosen: GeneralPredictor) -> GeneralPredictor:
+        """Return the predictor with as many states as the largest."""
+        if chosen.n_states == n_states:
+            return chosen
+        assert isinstance(chosen, Predictor)
+        return with_spare_states(chosen, n_states)
+
     own_released = [()] * len(data.records) if released is None or not released.any() else [*map(tuple, released)]
-    predictor = predictor_for(focus, own_released[0])
-    _check_channels(structure, predictor, data)
+    first = {model: predictor_for(focus, own_released[model_of.index(model)], model) for model in range(len(models))}
+    for one, model in zip(data.records, model_of, strict=True):
+        _check_channels(models[model].structure, first[model], one, data)
+    predictor, n_states = first[0], max(built.n_states for built in first.values())
+    all_free = list({q.name: q for built in first.values() for q in built.free}.values())
     always: Scope = "recording"
     scopes = {**local, **dict.fromkeys((term.name for term in disturbances.terms), always)}
-    unknown = [name for name in scopes if name not in [q.name for q in predictor.free]]
+    unknown = [name for name in scopes if name not in [q.name for q in all_free]]
     if unknown:
         raise UsageError(f"local names parameters that are not estimated: {', '.join(unknown)}")
     if scopes or left_out:
         _check_names(data)
     tied = frozenset(ties.names) if ties else frozenset()
-    record_names = tuple(_full_names(predictor, record, scopes, len(data.records), tied) for record in data.records)
-    free = _all_free(predictor.free, record_names)
+    record_names = tuple(
+        _full_names(first[model], record, scopes, len(data.records), tied)
+        for record, model in zip(data.records, model_of, strict=True)
+    )
+    free = _all_free(all_free, record_names)
     if ties is not None:
         _check_names(data)
         record_names = tuple(
@@ -143,14 +170,18 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
-    segments = [stretches(record, left_out.get(record.name, ()), predictor) for record in data.records]
+    segments = [
+        stretches(record, left_out.get(record.name, ()), first[model])
+        for record, model in zip(data.records, model_of, strict=True)
+    ]
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
     builder = GroupBuilder(window, begin, engine)
     for i, (names, record) in enumerate(zip(record_names, segments, strict=True)):
         for segment in record:
-            chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i])
+            chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i], model_of[i])
+            chosen = filled(chosen)
             if ties is None:
                 builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), segment.segment)
             else:
@@ -169,13 +200,13 @@ def assemble(
     )
 
 
-def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, data: FitData) -> None:
-    n_inputs, n_outputs = len(data.input_names), len(data.output_names)
+def _check_channels(structure: AnyStructure, predictor: GeneralPredictor, record: Record, data: FitData) -> None:
+    n_inputs, n_outputs = record.inputs.shape[1], record.outputs.shape[1]
     if (predictor.n_inputs, predictor.n_outputs) != (n_inputs, n_outputs):
+        names = f" ({', '.join(data.input_names)})" if n_inputs == len(data.input_names) else ""
         raise UsageError(
             f"structure {structure.name!r} has {predictor.n_inputs} inputs and {predictor.n_outputs} outputs; "
-            f"the recordings give {n_inputs} ({', '.join(data.input_names)}) and {n_outputs} "
-            f"({', '.join(data.output_names)})"
+            f"the recordings give {n_inputs}{names} and {n_outputs} ({', '.join(data.output_names)})"
         )
 
 

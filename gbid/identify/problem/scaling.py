@@ -114,9 +114,13 @@ def _nonlinear_starts(
 def unknown_bounds(
     problem: Shooting, assembly: Assembly, states: InitialStates | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the scaled bounds of all unknowns; given initial states are fixed, without `states` none is."""
+    """Return the scaled bounds of all unknowns; given and spare initial states are fixed."""
     free = np.full((problem.n_windows, problem.n_states), inf)
     lowest, highest = -free, free
+    for part, first, last in zip(problem.parts, problem.first_window[:-1], problem.first_window[1:], strict=True):
+        spare = part.predictor.spare
+        for side in (lowest, highest):
+            side[first:last, problem.n_states - spare :] = 0.0
     if states is not None:
         n, fixed = assembly.n_states, ~np.isnan(states.shooting)
         for window, values, held in zip(assembly.record_window, states.shooting, fixed, strict=True):

@@ -16,8 +16,8 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.discretise import Hold
-from gbid.errors import DataError
-from gbid.identify.data import gather
+from gbid.errors import DataError, UsageError
+from gbid.identify.data import Channels, gather_own
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.predictor import Focus
@@ -48,7 +48,7 @@ def fit_lpv_direct(
     recordings: Sequence[Recording],
     start: LPVFit | LPVModel,
     *,
-    structure: Structure | None = None,
+    structure: Structure | Mapping[str, Structure] | None = None,
     focus: Focus = "prediction",
     intersample: Hold | Sequence[Hold] | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -67,13 +67,16 @@ def fit_lpv_direct(
     start : LPVFit or LPVModel
         Start values, such as the result of `gbid.fit_lpv`. Terms that are not zero in it are estimated; its actuators
         are the start values of those of a `Plant`.
-    structure : Structure, optional
+    structure : Structure or dict of str to Structure, optional
         By default `RotorBearing` with the Pade order of the model. Other choices are one with exact delays, or a
         `Plant`, whose actuators are then shared by all recordings. Each recording has its own disturbance gains.
+        A dict gives recordings structures of their own, by name; the others have the default. So recordings in open
+        and in closed loop determine the same surfaces. The structures explain the same outputs, from inputs of their
+        own. Parameters that not all of them have are disturbance gains, or fixed.
     focus : {"prediction", "simulation"}
         Focus of the errors.
     intersample : {"zoh", "foh"} or sequence, optional
-        Behaviour of the inputs between samples; by default that of the structure.
+        Behaviour of the inputs between samples; by default that of each structure.
     fixed : dict of str to float, optional
         Actuators or disturbance gains with fixed values.
     scatter : bool
@@ -104,11 +107,11 @@ def fit_lpv_direct(
         few operating points; or when a delay of the start is negative at an operating point.
     """
     model = start.model if isinstance(start, LPVFit) else start
-    structure = RotorBearing(pade_order=model.pade_order) if structure is None else structure
-    hold = structure.intersample if intersample is None else intersample
-    setting = set_up(recordings, model, structure, fixed or {})
-    data = gather(recordings, as_names(structure.inputs), as_names(structure.outputs), minimum=_SHORTEST)
-    how = How(focus, hold, engine, max_iterations, progress)
+    structures = _structures_of(recordings, structure, RotorBearing(pade_order=model.pade_order))
+    setting = set_up(recordings, model, structures, fixed or {})
+    channels = [Channels(as_names(one.inputs), as_names(one.outputs)) for one in structures]
+    data = gather_own(recordings, channels, minimum=_SHORTEST)
+    how = How(focus, intersample, engine, max_iterations, progress)
     known = start.scatter if scatter and isinstance(start, LPVFit) else np.zeros((len(KEY_PARAMETERS),) * 2)
     if negative := _negative_delay(setting, setting.start):
         raise DataError(
@@ -116,7 +119,7 @@ def fit_lpv_direct(
             "start from another model, or use longer recordings"
         )
     with one_blas_thread():
-        gains = own_gains(setting, recordings, focus, hold, engine)
+        gains = own_gains(setting, recordings, focus, intersample, engine)
         shared, S = setting.start, _padded(known, len(setting.names))
         iterations, ended = 0, ""
         for round_ in range(1, _ROUNDS + 1):
@@ -134,9 +137,9 @@ def fit_lpv_direct(
                 break
     options = {
         "method": "direct",
-        "structure": structure.name,
+        "structure": ", ".join(dict.fromkeys(one.name for one in structures)),
         "focus": focus,
-        "intersample": hold if isinstance(hold, str) else " ".join(hold),
+        "intersample": ", ".join(dict.fromkeys(_hold_text(intersample or one.intersample) for one in structures)),
         "weighting": "scatter" if scatter else "none",
         "rounds": str(round_),
         "iterations": str(iterations),
@@ -155,6 +158,22 @@ def fit_lpv_direct(
         status=solved.solution.status,
         notes=tuple(notes),
     )
+
+
+def _structures_of(
+    recordings: Sequence[Recording], given: Structure | Mapping[str, Structure] | None, usual: Structure
+) -> list[Structure]:
+    """Return the structure of each recording."""
+    if not isinstance(given, Mapping):
+        return [given or usual] * len(recordings)
+    names = [recording.name for recording in recordings]
+    if strangers := [name for name in given if name not in names]:
+        raise UsageError(f"structure: no recording {strangers[0]!r}; there are {', '.join(names)}")
+    return [given.get(name, usual) for name in names]
+
+
+def _hold_text(hold: Hold | Sequence[Hold]) -> str:
+    return hold if isinstance(hold, str) else " ".join(hold)
 
 
 def _negative_delay(setting: Setting, shared: FloatArray) -> str:

@@ -42,7 +42,7 @@ def own_gains(
     setting: Setting,
     recordings: Sequence[Recording],
     focus: Focus,
-    hold: Hold | Sequence[Hold],
+    hold: Hold | Sequence[Hold] | None,
     engine: EngineName,
 ) -> Gains:
     """Return the disturbance gains of each recording, fitted with all other parameters fixed at the start.
@@ -53,23 +53,31 @@ def own_gains(
     nothing = dict.fromkeys(setting.gains, 0.0)
     if not setting.gains or focus == "simulation":
         return Gains([nothing for _ in recordings], np.zeros(len(recordings), dtype=bool))
-    predictor = build_predictor(setting.structure, setting.held, recordings[0].sample_time, hold, focus)
     values, held = [], []
-    for recording, X in zip(recordings, setting.X, strict=True):
+    for recording, structure, X in zip(recordings, setting.structures, setting.X, strict=True):
+        names = [q.name for q in structure.parameters]
+        if not set(setting.gains).intersection(names):
+            values.append(nothing)
+            held.append(False)
+            continue
+        known = {key: value for key, value in setting.held.items() if key in names}
+        behaviour = structure.intersample if hold is None else hold
+        predictor = build_predictor(structure, known, recording.sample_time, behaviour, focus)
         surface = dict(zip(setting.names, (X @ setting.start).tolist(), strict=True))
         own = fit(
-            setting.structure,
+            structure,
             recording,
             focus=focus,
-            intersample=hold,
-            fixed={**surface, **setting.held},
+            intersample=behaviour,
+            fixed={**surface, **known},
             window=None,
             max_iterations=_ITERATIONS,
             engine=engine,
         )
         found = np.array([own.parameters[q.name] for q in predictor.free])
         told = own.success and not near_instability(predictor, found, CLEAR)
-        values.append({name: own.parameters[name] for name in setting.gains} if told else nothing)
+        found_gains = {name: own.parameters[name] for name in setting.gains if name in names}
+        values.append({**nothing, **found_gains} if told else nothing)
         held.append(not told)
     names = [r.name for r, stays in zip(recordings, held, strict=True) if stays]
     note = f"disturbance gain fixed at zero in {len(names)} of {len(held)} recordings, which do not determine it: "

@@ -25,10 +25,10 @@ class Setting:
 
     Attributes
     ----------
-    structure : Structure
-        Structure of all recordings.
+    structures : tuple of Structure
+        Structure of each recording.
     parameters : tuple of Parameter
-        Parameters of the structure, with the fixed ones marked.
+        Parameters of the structures, with the fixed ones marked.
     held : dict of str to float
         Parameters with fixed values.
     gains : tuple of str
@@ -47,7 +47,7 @@ class Setting:
         Orthogonal terms.
     """
 
-    structure: Structure
+    structures: tuple[Structure, ...]
     parameters: tuple[Parameter, ...]
     held: Mapping[str, float]
     gains: tuple[str, ...]
@@ -81,22 +81,29 @@ class Setting:
 
 
 def set_up(
-    recordings: Sequence[Recording], model: LPVModel, structure: Structure, fixed: Mapping[str, float]
+    recordings: Sequence[Recording], model: LPVModel, structures: Sequence[Structure], fixed: Mapping[str, float]
 ) -> Setting:
     """Return the setting of a direct LPV fit; parameters and errors are those of `gbid.fit_lpv_direct`."""
-    names = [q.name for q in structure.parameters]
-    missing = [key for key in KEY_PARAMETERS if key not in names]
-    if missing:
-        raise UsageError(f"structure {structure.name!r} has no {', '.join(missing)}; surfaces need all key parameters")
+    for one in structures:
+        missing = [key for key in KEY_PARAMETERS if key not in [q.name for q in one.parameters]]
+        if missing:
+            raise UsageError(f"structure {one.name!r} has no {', '.join(missing)}; surfaces need all key parameters")
+    parameters = {q.name: q for one in structures for q in one.parameters}
+    names = list(parameters)
     for key in fixed:
         if key in KEY_PARAMETERS or key not in names:
             what = "is a surface, which is estimated" if key in KEY_PARAMETERS else "is not a parameter"
-            raise UsageError(f"fixed: {key} {what} of structure {structure.name!r}; leave it out")
+            used = " or ".join(dict.fromkeys(repr(one.name) for one in structures))
+            raise UsageError(f"fixed: {key} {what} of structure {used}; leave it out")
     points = _points(recordings)
     exponents = _terms_of(model)
     design = orthonormal(points, exponents)
-    noise = noise_names(structure)
-    others = [q for q in structure.parameters if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
+    noise = frozenset[str]().union(*(noise_names(one) for one in _different(structures)))
+    others = [q for q in parameters.values() if q.name not in (*KEY_PARAMETERS, *noise, *fixed)]
+    for one in structures:
+        own = [q.name for q in one.parameters]
+        if lacking := [q.name for q in others if q.name not in own]:
+            raise UsageError(f"structure {one.name!r} has no {', '.join(lacking)}, which another has; fix them (fixed)")
     unknown = [q.name for q in others if q.name not in model.actuators and q.start is None]
     if unknown:
         raise UsageError(f"no start for {', '.join(unknown)}; give the start model actuators, or fix them (fixed)")
@@ -109,13 +116,13 @@ def set_up(
     X[:, :k, :m] = kron_designs(design.columns, k)
     X[:, k:, m:] = np.eye(len(others))
     return Setting(
-        structure,
+        tuple(structures),
         tuple(
             Parameter(q.name, float(fixed[q.name]), fixed=True, unit=q.unit) if q.name in fixed else q
-            for q in structure.parameters
+            for q in parameters.values()
         ),
         dict(fixed),
-        tuple(q.name for q in structure.parameters if q.name in noise and q.name not in fixed),
+        tuple(q.name for q in parameters.values() if q.name in noise and q.name not in fixed),
         tuple(shared),
         (*KEY_PARAMETERS, *(q.name for q in others)),
         X,
@@ -123,6 +130,11 @@ def set_up(
         exponents,
         design,
     )
+
+
+def _different(structures: Sequence[Structure]) -> list[Structure]:
+    """Return each structure once."""
+    return [one for i, one in enumerate(structures) if one not in structures[:i]]
 
 
 def _in_columns(model: LPVModel, design: Orthonormal, exponents: Exponents) -> FloatArray:

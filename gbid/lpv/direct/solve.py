@@ -14,7 +14,7 @@ from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.solver import Solution, solve
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.predictor import Focus
-from gbid.identify.problem.assembly import Scope, assemble, full_start
+from gbid.identify.problem.assembly import OwnStructure, Scope, assemble, full_start
 from gbid.identify.problem.scaling import build_problem, unknown_bounds
 from gbid.identify.status import FitStatus
 from gbid.identify.uncertainty.information import RecordInformation, profiled, record_information
@@ -28,7 +28,7 @@ class How:
     """Options of the programme and its solver; see `gbid.fit_lpv_direct`."""
 
     focus: Focus
-    hold: Hold | Sequence[Hold]
+    hold: Hold | Sequence[Hold] | None
     engine: EngineName
     max_iterations: int
     progress: Callable[[Progress], None] | None
@@ -77,12 +77,13 @@ def solve_for(
     begin = {q.name: float(q.start or 0.0) for q in parameters}
     local: dict[str, Scope] = dict.fromkeys(setting.gains if how.focus == "prediction" else (), "recording")
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        each = [OwnStructure(one, how.hold or one.intersample) for one in setting.structures]
         assembly = assemble(
-            setting.structure,
+            each[0].structure,
             parameters,
             begin,
             data,
-            intersample=how.hold,
+            intersample=each[0].intersample,
             focus=how.focus,
             horizon=1,
             local=local,
@@ -90,6 +91,7 @@ def solve_for(
             window=None,  # the start is near the solution: windows within a recording are not needed
             engine=how.engine,
             ties=ties,
+            own=each,
         )
         full = full_start(assembly, begin, gains.values)
         full |= dict(zip((q.name for q in ties.shared), shared.tolist(), strict=True))
@@ -97,7 +99,7 @@ def solve_for(
         problem, unknowns = build_problem(assembly, data, "trace", None, full, prior, scaling=True)
         lower, upper = unknown_bounds(problem, assembly)
         position = {q.name: i for i, q in enumerate(assembly.free)}
-        places = [[position[names[key]] for key in local] for names in assembly.record_names]
+        places = [[position[names[key]] for key in local if key in names] for names in assembly.record_names]
         part_of = np.searchsorted(problem.first_window, assembly.record_window, side="right") - 1
 
         def unstable(at: FloatArray) -> BoolArray:
@@ -127,8 +129,8 @@ def solve_for(
             held = held | edge | given_up
             solution = run()
         theta, starts = problem.unpack(solution.unknowns)
-        own = [q.name for q in problem.parts[0].predictor.free]
-        kept = np.array([own.index(name) for name in setting.names])
+        own = [[q.name for q in problem.parts[part].predictor.free] for part in part_of]
+        kept = [np.array([names.index(name) for name in setting.names]) for names in own]
         whole = record_information(problem, theta, starts, assembly.record_window, np.diag(problem.output_weights))
     notes = list(gains.notes)
     if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
@@ -140,14 +142,14 @@ def solve_for(
     if given_up and solution.status.success:
         solution = replace(solution, status=FitStatus.CONVERGED_GAIN_HELD)
     ended = [
-        {name: float(theta[place]) for name, place in zip(local, own_places, strict=True)} or values
-        for own_places, values in zip(places, gains.values, strict=True)
+        {**values, **{key: float(theta[position[names[key]]]) for key in local if key in names}}
+        for names, values in zip(assembly.record_names, gains.values, strict=True)
     ]
     off = np.array([[theta[position[names[q.name]]] for q in ties.own] for names in assembly.record_names])
     return DirectSolution(
         theta[: len(ties.shared)],
         setting.X @ theta[: len(ties.shared)] + off.reshape(len(setting.X), -1) @ ties.lift.T,
-        [profiled(each, kept) for each in whole],
+        [profiled(one, columns) for one, columns in zip(whole, kept, strict=True)],
         Gains(ended, held, tuple(notes)),
         solution,
         assembly.engine,
