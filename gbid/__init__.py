@@ -62,6 +62,7 @@ if TYPE_CHECKING:
         PiezoPair,
         Plant,
         RotorBearing,
+        casadi_functions,
         with_pade,
     )
     from gbid.validate import (
@@ -107,6 +108,7 @@ __all__ = [
     "__version__",
     "align_index",
     "assess",
+    "casadi_functions",
     "characterise_piezo",
     "characterise_staircase",
     "check_residuals",
@@ -178,7 +180,7 @@ _HOME = {
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
     "structure": (
         *("LinearModel", "LinearStructure", "NonlinearModel", "NonlinearStructure", "Parameter"),
-        *("PiezoPair", "Plant", "RotorBearing", "with_pade"),
+        *("PiezoPair", "Plant", "RotorBearing", "casadi_functions", "with_pade"),
     ),
     "validate": (
         *("NominalActuator", "ResidualTest", "ValidationScores", "ValidationSummary"),

@@ -27,21 +27,25 @@ class Taps(NamedTuple):
     columns: list[Any]
 
 
-def delayed_taps(A: Any, b: Any, delay: Any, sample_time: float, hold: Hold) -> Taps:
+def delayed_taps(
+    A: Any, b: Any, delay: Any, sample_time: float, hold: Hold, *, near: tuple[float, int] | None = None
+) -> Taps:
     """Return the exact discretisation of ``xd(t) = A x(t) + b u(t - delay)`` for a held or interpolated input.
 
     Parameters
     ----------
-    A : (n, n) array or Dual
+    A : (n, n) array, Dual or casadi.SX
         System matrix [1/s].
-    b : (n, 1) array or Dual
+    b : (n, 1) array, Dual or casadi.SX
         Input column.
-    delay : float or Dual of shape (1, 1)
+    delay : float, or Dual or casadi.SX of shape (1, 1)
         Delay, at least zero [s].
     sample_time : float
         Time between samples ``h`` [s].
     hold : {"zoh", "foh"}
         Zero- or first-order hold of the input.
+    near : (float, int), optional
+        For symbols: a delay [s] with the same whole samples, and the number of doublings (see `squarings_for`).
 
     Returns
     -------
@@ -61,19 +65,20 @@ def delayed_taps(A: Any, b: Any, delay: Any, sample_time: float, hold: Hold) -> 
     whole samples.
     """
     h = sample_time
-    seconds = float(delay.value[0, 0]) if isinstance(delay, Dual) else float(delay)
+    doublings = None if near is None else near[1]
+    seconds = near[0] if near else float(delay.value[0, 0]) if isinstance(delay, Dual) else float(delay)
     if seconds < 0:
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     shift = int(np.floor(seconds / h))
     early = delay - shift * h  # time in the sample before the delayed input changes to its next piece
     late = h - early
-    whole = _integrals(A, h)
-    after = _integrals(A, late)
+    whole = _integrals(A, h, doublings)
+    after = _integrals(A, late, doublings)
     held_after = after.first @ b
     held_before = whole.first @ b - held_after
     if hold == "zoh":
         return Taps(shift, [0.0 * held_after, held_after, held_before])
-    before = _integrals(A, early)
+    before = _integrals(A, early, doublings)
     rise_after = (after.second @ b) * (1 / h)
     rise_before = (after.exp @ (before.second @ b)) * (1 / h) + held_before * (late * (1 / h))
     return Taps(shift, [rise_after, held_after - rise_after + rise_before, held_before - rise_before])
@@ -85,8 +90,9 @@ class _Integrals(NamedTuple):
     second: Any  # int_0^t e^(A (t - s)) s ds
 
 
-def _integrals(A: Any, t: Any) -> _Integrals:
+def _integrals(A: Any, t: Any, squarings: int | None) -> _Integrals:
     Z = A * t
-    squarings = squarings_for([Z.value if isinstance(Z, Dual) else Z])
+    if squarings is None:
+        squarings = squarings_for([Z.value if isinstance(Z, Dual) else Z])
     exp, phi1, phi2 = exponentials(Z, squarings)
     return _Integrals(exp, phi1 * t, phi2 * t * t)

@@ -3,6 +3,7 @@
 from gbid.structure.any_structure import Anatomy, AnyStructure, anatomy, model_of
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
+from gbid.structure.model_functions import ModelFunctions, casadi_functions
 from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
@@ -22,6 +23,7 @@ __all__ = [
     "LinearModel",
     "LinearStructure",
     "Matrices",
+    "ModelFunctions",
     "NonlinearModel",
     "NonlinearStructure",
     "Parameter",
@@ -32,6 +34,7 @@ __all__ = [
     "Values",
     "anatomy",
     "as_names",
+    "casadi_functions",
     "evaluate",
     "frequency_grid",
     "known_names",

@@ -11,16 +11,15 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.discretise import check_holds
-from gbid.errors import NoValueAtStartError, UsageError
+from gbid.errors import UsageError
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nonlinear.sample_functions import SampleEquations, SampleFunctions, sample_functions
 from gbid.identify.predictor import Focus
 from gbid.structure import Parameter
 from gbid.structure.nonlinear.equations import jumps_in, symbolic_equations
-from gbid.structure.nonlinear.nonlinear_structure import MOST_STEPS, NonlinearStructure
-
-_RADIANS = 1.0  # that the fastest pole turns in a step of the explicit method, at the start
+from gbid.structure.nonlinear.first_steps import first_steps
+from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 
 
 class NonlinearValues(NamedTuple):
@@ -175,7 +174,7 @@ def build_nonlinear_predictor(
         released=any(released),
         functions=sample_functions(equations),
         known=np.array([*(values[name] for name in others), sample_time]),
-        steps=_first_steps(structure, begin, sample_time) if structure.steps == "auto" else structure.steps,
+        steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, own),
         adapts=structure.steps == "auto",
         jumps=jumps_in(own),
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
@@ -199,20 +198,3 @@ def names_in(expression: ca.SX) -> set[str]:
 
 def _each(column: ca.SX) -> list[ca.SX]:
     return ca.vertsplit(column) if column.numel() else []
-
-
-def _first_steps(structure: NonlinearStructure, begin: Mapping[str, float], sample_time: float) -> int:
-    """Return the number of steps with which the fastest pole at the start values turns by a radian at most in one."""
-    own = symbolic_equations(structure)
-    slopes = ca.Function("slopes", [own.x, own.u, own.p], [ca.densify(ca.jacobian(own.dx, own.x))])
-    p = np.array([begin[q.name] for q in structure.parameters])
-    A = np.asarray(slopes(np.zeros(own.x.numel()), np.zeros(own.u.numel()), p), float)
-    if structure.integrator == "implicit" or not np.isfinite(A).all():
-        return 1
-    fastest = float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) * sample_time
-    if fastest > MOST_STEPS:
-        raise NoValueAtStartError(
-            f"structure {structure.name!r}: the fastest pole at the start needs {fastest:.0f} steps in a sample: "
-            "the equations are stiff; use integrator='implicit'"
-        )
-    return max(1, int(np.ceil(fastest / _RADIANS)))

@@ -13,10 +13,11 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
-from gbid.discretise import IntegratorName, check_holds, one_step
+from gbid.discretise import IntegratorName, check_holds
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
 from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.first_steps import over_a_sample
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.numeric.sampled_run import channels, check_sample_time
@@ -260,16 +261,12 @@ class NonlinearModel(Brief):
             outputs, parameters in the order of the structure, and the sample time [s].
         """
         n, n_u, n_y = self.n_states, len(self.input_names), len(self.output_names)
-        x, u, last, y, p, h, e, a, b = _symbols(n, n_u, n_u, n_y, len(self.parameters), 1, n_y, n, n_u)
-        f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ e], {"allow_free": True})
-        sub = ca.Function("sub", [x, u, last, e, p, h], [one_step(self.integrator, f, x, (u, last), h)])
+        x, u, last, y, p, h, a, b = _symbols(n, n_u, n_u, n_y, len(self.parameters), 1, n, n_u)
         output = self.function(x, u, p)[1]
         error = y - output if feeds_back else ca.SX.zeros(n_y)
-        at = x
-        for i in range(self.steps):
-            between = [u + (last - u) * (j / self.steps) for j in (i, i + 1)]
-            at = sub(at, *between, error, p, h / self.steps)
-        return ca.Function("step", [x, u, last, y, p, h], [at, output])
+        f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ error], {"allow_free": True})
+        after = over_a_sample(self.integrator, f, x, (u, last), h, self.steps)
+        return ca.Function("step", [x, u, last, y, p, h], [after, output])
 
     @cached_property
     def _slopes(self) -> ca.Function:

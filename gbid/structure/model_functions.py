@@ -1,0 +1,185 @@
+"""Functions of CasADi for a structure: continuous model, discretised model, one-step predictor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
+from gbid.errors import UsageError
+from gbid.structure.any_structure import AnyStructure
+from gbid.structure.linear import Structure, symbolic_matrices
+from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.first_steps import first_steps, over_a_sample
+from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
+from gbid.structure.numeric.sampled_run import check_sample_time
+from gbid.structure.parameter import known_names
+
+_HEADROOM = 2  # doublings of the matrix exponential beyond those at the given values: for four times faster poles
+
+
+class ModelFunctions(NamedTuple):
+    """Functions of a structure. Their arguments have names: ``f(x=..., u=..., p=...)``; what is left out is zero.
+
+    Attributes
+    ----------
+    continuous : casadi.Function
+        ``(x, u, e, p) -> (dx, y)``: derivatives of the states and outputs, with the prediction error e that the
+        disturbance gain feeds back. With exact delays ``(x, u, u_delayed, e, p)``.
+    discretised : casadi.Function
+        ``(x, u, p) -> (x_next, y)``: the model over one sample. `u` is (n_inputs, lags + 2): its columns are the inputs
+        at the samples k + 1, k, k - 1, ..., k - lags.
+    predictor : casadi.Function
+        ``(x, u, y, p) -> (x_next, yhat)``: the one-step predictor, with the measured outputs `y` at sample k.
+    parameters : tuple of str
+        Names of the entries of `p`.
+    lags : int
+        Number of past samples of the inputs that exact delays need; 0 without such delays.
+    """
+
+    continuous: ca.Function
+    discretised: ca.Function
+    predictor: ca.Function
+    parameters: tuple[str, ...]
+    lags: int
+
+
+def casadi_functions(
+    structure: AnyStructure,
+    sample_time: float,
+    *,
+    values: Mapping[str, float] | None = None,
+    intersample: str | Sequence[str] | None = None,
+    steps: int | None = None,
+) -> ModelFunctions:
+    """Return the functions of CasADi for a structure, linear or nonlinear, with its parameters as an argument.
+
+    Parameters
+    ----------
+    structure : Structure or NonlinearStructure
+        The structure.
+    sample_time : float
+        Time between samples [s].
+    values : dict of str to float, optional
+        Values of parameters near which the discretised functions are accurate; others are the start values. The graph
+        of a matrix exponential has a fixed number of doublings, and that of an exact delay a fixed number of samples.
+    intersample : {"zoh", "foh"} or sequence, optional
+        Inter-sample behaviour of the inputs; by default that of the structure.
+    steps : int, optional
+        Steps of the integrator in a sample, for nonlinear structures. By default those of the structure; for "auto" as
+        many as the fastest pole at `values` needs.
+
+    Returns
+    -------
+    ModelFunctions
+        The functions.
+
+    Raises
+    ------
+    UsageError
+        When a value is missing or unknown, an exact delay is negative, or an option does not fit the structure.
+    """
+    check_sample_time(structure.name, sample_time)
+    known_names(structure.parameters, values or {}, "values")
+    known = {q.name: q.start for q in structure.parameters if q.start is not None} | dict(values or {})
+    hold = structure.intersample if intersample is None else intersample
+    if isinstance(structure, NonlinearStructure):
+        return _of_nonlinear(structure, sample_time, known, hold, steps)
+    if steps is not None:
+        raise UsageError(f"steps = {steps}: structure {structure.name!r} is linear, and discretised exactly")
+    return _of_linear(structure, sample_time, known, hold)
+
+
+def _of_nonlinear(
+    structure: NonlinearStructure,
+    sample_time: float,
+    values: Mapping[str, float],
+    hold: str | Sequence[str],
+    steps: int | None,
+) -> ModelFunctions:
+    own = symbolic_equations(structure)
+    if steps is None:
+        steps = first_steps(structure, _numbers(structure, values), sample_time, own)
+    u, y, e = ca.SX.sym("u", own.u.numel(), 2), ca.SX.sym("y", own.y.numel()), ca.SX.sym("e", own.y.numel())
+    derivative = own.dx + own.K @ e
+    (output,) = ca.substitute([own.y], [own.u], [u[:, 1]])
+    held = ca.DM([float(each == "zoh") for each in check_holds(hold, own.u.numel())])
+    ends = u[:, 1], u[:, 1] + (u[:, 0] - u[:, 1]) * (1 - held)
+
+    def after(error: ca.SX) -> ca.SX:
+        at, under = ca.SX.sym("at", own.x.numel()), ca.SX.sym("under", own.u.numel())  # `error` is that at the sample
+        (there,) = ca.substitute([own.dx], [ca.vertcat(own.x, own.u)], [ca.vertcat(at, under)])
+        f = ca.Function("f", [at, under], [ca.densify(there + own.K @ error)], {"allow_free": True})
+        return over_a_sample(structure.integrator, f, own.x, ends, ca.SX(sample_time), steps)
+
+    return _named(
+        structure,
+        ([own.x, own.u, e, own.p], [derivative, own.y + e]),
+        ([own.x, u, own.p], [after(ca.SX(own.y.numel(), 1)), output]),
+        ([own.x, u, y, own.p], [after(y - output), output]),
+        0,
+    )
+
+
+def _of_linear(
+    structure: Structure, sample_time: float, values: Mapping[str, float], hold: str | Sequence[str]
+) -> ModelFunctions:
+    p, m = symbolic_matrices(structure)
+    n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
+    holds = check_holds(hold, n_u)
+    numbers = _numbers(structure, values)
+    A = np.array(ca.Function("A", [p], [ca.densify(m.A)])(numbers), float)
+    delays = np.array(ca.Function("d", [p], [ca.densify(m.delay)])(numbers), float).ravel()
+    squarings = squarings_for([A * sample_time]) + _HEADROOM
+    F, now, following = discretise(m.A, ca.horzcat(m.B, m.K), sample_time, [*holds, *["zoh"] * n_y], squarings)
+    taps = [
+        delayed_taps(m.A, m.B_delayed[:, i], m.delay[i], sample_time, holds[i], near=(float(delays[i]), squarings))
+        for i in range(n_u * m.has_delay)
+    ]
+    lags = max((each.shift + 1 for each in taps), default=0)
+    x, e, y = ca.SX.sym("x", n), ca.SX.sym("e", n_y), ca.SX.sym("y", n_y)
+    held, late, u = ca.SX.sym("u", n_u), ca.SX.sym("u_delayed", n_u), ca.SX.sym("u", n_u, lags + 2)
+    output = m.C @ x + m.D @ u[:, 1]
+    plain = F @ x + now[:, :n_u] @ u[:, 1] + following[:, :n_u] @ u[:, 0]
+    for i, each in enumerate(taps):
+        for j, column in enumerate(each.columns):  # of the samples k - shift + 1, k - shift, k - shift - 1
+            if each.shift + j or holds[i] == "foh":
+                plain += column * u[i, each.shift + j]
+    point, delayed = [x, held], [late] if m.has_delay else []
+    derivative = m.A @ x + m.B @ held + (m.B_delayed @ late if delayed else 0) + m.K @ e
+    return _named(
+        structure,
+        ([*point, *delayed, e, p], [derivative, m.C @ x + m.D @ held + e]),
+        ([x, u, p], [plain, output]),
+        ([x, u, y, p], [plain + now[:, n_u:] @ (y - output), output]),
+        lags,
+    )
+
+
+def _named(
+    structure: AnyStructure, continuous: _Graph, discretised: _Graph, predictor: _Graph, lags: int
+) -> ModelFunctions:
+    delayed = ["u_delayed"] if len(continuous[0]) > 4 else []
+    given = {
+        "continuous": (continuous, ["x", "u", *delayed, "e", "p"], ["dx", "y"]),
+        "discretised": (discretised, ["x", "u", "p"], ["x_next", "y"]),
+        "predictor": (predictor, ["x", "u", "y", "p"], ["x_next", "yhat"]),
+    }
+    continuous_f, discretised_f, predictor_f = (
+        ca.Function(name, arguments, [ca.densify(each) for each in results], names_in, names_out, {"cse": True})
+        for name, ((arguments, results), names_in, names_out) in given.items()
+    )
+    return ModelFunctions(continuous_f, discretised_f, predictor_f, tuple(q.name for q in structure.parameters), lags)
+
+
+_Graph = tuple[list[ca.SX], list[ca.SX]]
+
+
+def _numbers(structure: AnyStructure, values: Mapping[str, float]) -> FloatArray:
+    if missing := [q.name for q in structure.parameters if q.name not in values]:
+        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}; give them in values")
+    return np.array([float(values[q.name]) for q in structure.parameters])
