@@ -38,7 +38,7 @@ from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.structure import AnyStructure, NonlinearStructure, Parameter, as_names, known_names
+from gbid.structure import AnyStructure, NonlinearStructure, Parameter, as_names, equations_of, known_names
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
@@ -178,6 +178,7 @@ def fit(
     given = _given_starts(start)
     parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {}, from_data=isinstance(start, str))
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
+    stated, structure = structure, equations_of(structure)
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
     states = initial_states(structure, parameters, initial_state, [record.name for record in data.records])
 
@@ -189,7 +190,7 @@ def fit(
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
         asked = {*given, *(fixed or {})}
-        first = begin_values(structure, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
+        first = begin_values(stated, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
     structure = structure if in_names else without_inputs(structure)
     begin = first.values
 

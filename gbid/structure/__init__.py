@@ -1,6 +1,6 @@
 """Model structures: delays, rotor-bearing, actuators, their series connection, and structures of a user."""
 
-from gbid.structure.any_structure import Anatomy, AnyStructure, anatomy, model_of
+from gbid.structure.any_structure import Anatomy, AnyStructure, anatomy, equations_of, model_of
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
 from gbid.structure.model_functions import ModelFunctions, casadi_functions
@@ -35,6 +35,7 @@ __all__ = [
     "anatomy",
     "as_names",
     "casadi_functions",
+    "equations_of",
     "evaluate",
     "frequency_grid",
     "known_names",

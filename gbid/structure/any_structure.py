@@ -9,9 +9,11 @@ import casadi as ca
 
 from gbid.structure.linear import Structure, evaluate, symbolic_matrices
 from gbid.structure.nonlinear.equations import symbolic_equations
+from gbid.structure.nonlinear.film_bearing import film_bearing
 from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
+from gbid.structure.rotor_bearing import RotorBearing
 
 AnyStructure = Structure | NonlinearStructure
 """Structure of either kind."""
@@ -40,6 +42,12 @@ class Anatomy(NamedTuple):
     in_x0: tuple[frozenset[str], ...]
     has_gain: bool
     gain_only: frozenset[str]
+
+
+def equations_of(structure: AnyStructure) -> AnyStructure:
+    """Return the structure with which a fit computes: that of a bearing whose film stiffens is nonlinear."""
+    nonlinear = isinstance(structure, RotorBearing) and structure.film != "linear"
+    return film_bearing(structure) if nonlinear else structure  # type: ignore[arg-type]  # a bearing, see above
 
 
 def anatomy(

@@ -47,6 +47,8 @@ class Plant(Brief):
         object.__setattr__(self, "outputs", as_names(outputs))
         if self.outputs not in (("u", "p"), ("p",)):
             raise UsageError(f"{self.name}: outputs = {self.outputs}; choose ('u', 'p') or ('p',)")
+        if self.bearing.film != "linear":
+            raise UsageError(f"{self.name}: film = {self.bearing.film!r} is for fits of the bearing alone, from u to p")
         if self.actuators.disturbance_gain != "none":
             raise UsageError(f"{self.name}: the actuators' disturbance gain must be 'none' in series")
 

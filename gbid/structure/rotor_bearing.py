@@ -17,6 +17,9 @@ from gbid.structure.parameter import Parameter, Values
 AXES = ("x", "y")
 PAIRS = ("xx", "xy", "yx", "yy")
 DisturbanceGain = Literal["full", "diagonal", "states", "none"]
+Film = Literal["linear", "stiffening"]
+STIFFENING = "stiffening"
+"""Name of the parameter of a stiffening film, 1/l^2 [1/m^2]."""
 
 KEY_PARAMETERS = (
     *(f"{letter}_{pair}" for letter in "kdb" for pair in PAIRS),
@@ -46,11 +49,21 @@ class RotorBearing(Brief):
         Entries of ``B_d`` that are estimated: all four, two, or none. With "states" disturbances also enter the
         position rows through ``B_p`` (bp_xx to bp_yy [1/s]), as in a steady-state Kalman filter. This is for a rotor
         with process noise.
+    film : {"linear", "stiffening"}
+        Stiffness of the film. With "stiffening" it grows with the distance from the centre, ``K (1 + s |p|^2) p``, with
+        one more parameter ``stiffening`` s [1/m^2] (`gbid.rig.FilmStiffening`). The fit is then nonlinear. `matrices`
+        are those of small amplitudes.
+
+    Raises
+    ------
+    UsageError
+        When an option is unknown, or for exact delays with a film that stiffens.
     """
 
     pade_order: int = 1
     delay: Literal["pade", "exact"] = "pade"
     disturbance_gain: DisturbanceGain = "full"
+    film: Film = "linear"
     name: str = "rotor_bearing"
     inputs: tuple[str, ...] = ("u",)
     outputs: tuple[str, ...] = ("p",)
@@ -66,10 +79,14 @@ class RotorBearing(Brief):
                 f"{self.name}: disturbance_gain = {self.disturbance_gain!r}; "
                 "choose 'full', 'diagonal', 'states' or 'none'"
             )
+        if self.film not in ("linear", "stiffening"):
+            raise UsageError(f"{self.name}: film = {self.film!r}; choose 'linear' or 'stiffening'")
+        if self.film == "stiffening" and self.delay == "exact":
+            raise UsageError(f"{self.name}: film='stiffening' needs delays as filters; use pade_order=2 for accuracy")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:
-        """Stiffness k, damping d and input gain b per unit mass, delays tau, disturbance gains bd and bp."""
+        """Stiffness k, damping d and input gain b per unit mass, delays tau, stiffening, disturbance gains bd, bp."""
         coefficients = [Parameter(f"{letter}_{pair}", unit=_UNITS[letter]) for letter in "kdb" for pair in PAIRS]
         # A negative delay has an unstable Pade pole, and a zero delay has none. The lower bound is far below a sample.
         delays = [Parameter(f"tau_{axis}", lower=5e-6, upper=5e-3, unit="s") for axis in AXES]
@@ -77,11 +94,12 @@ class RotorBearing(Brief):
             Parameter(name, 0.0, -inf, inf, unit="1/s" if name.startswith("bp") else "1/s^2")
             for name in self._gain_names()
         ]
-        return (*coefficients, *delays, *gains)
+        film = [Parameter(STIFFENING, 0.0, unit="1/m^2")] if self.film == "stiffening" else []
+        return (*coefficients, *delays, *film, *gains)
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays."""
-        stiffness, damping, input_gain = (_square(p, letter) for letter in "kdb")
+        stiffness, damping, input_gain = (square(p, letter) for letter in "kdb")
         if self.delay == "exact":
             zero, eye = ca.SX(2, 2), ca.SX.eye(2)
             return {
@@ -123,7 +141,7 @@ class RotorBearing(Brief):
         return ca.sparsify(ca.SX(ca.vertcat(*(ca.horzcat(*row) for row in entries))))
 
 
-def _square(p: Values, letter: str) -> Any:
+def square(p: Values, letter: str) -> Any:
     """Return the 2x2 matrix of the entries ``letter_xx`` to ``letter_yy``."""
     xx, xy, yx, yy = (p[f"{letter}_{pair}"] for pair in PAIRS)
     return ca.vertcat(ca.horzcat(xx, xy), ca.horzcat(yx, yy))

@@ -97,6 +97,7 @@ class StructureOptions(Section):
     delay: Literal["pade", "exact"] | None = None
     pade_order: Count | None = None
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
+    film: Literal["linear", "stiffening"] | None = None
 
 
 class PriorSection(Section):

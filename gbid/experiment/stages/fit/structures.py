@@ -37,7 +37,7 @@ def _plant(options: dict[str, Any]) -> Structure:
 _OF_BEARING = ("delay", "pade_order", "disturbance_gain")
 
 BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]]] = {
-    "rotor_bearing": (_rotor_bearing, _OF_BEARING),
+    "rotor_bearing": (_rotor_bearing, (*_OF_BEARING, "film")),
     "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
     "plant": (_plant, _OF_BEARING),
 }

@@ -1,0 +1,54 @@
+"""Rotor bearing whose film stiffens: equations, fit from data alone, and what comes of the result."""
+
+import numpy as np
+import pytest
+from shaken_rig import TRUE, shaken
+
+import gbid
+from gbid.errors import UsageError
+from gbid.rig import FilmStiffening
+from gbid.structure import equations_of, evaluate, nonlinear_model
+
+FILM = FilmStiffening(0.9e-6)
+STRUCTURE = gbid.RotorBearing(film="stiffening", disturbance_gain="none")
+TRUTH = {**TRUE, "stiffening": FILM.inverse_square_length}
+
+
+@pytest.fixture(scope="module")
+def found():
+    """Fit to one second of the rig: its integration in C and its exact delays are independent of the structure."""
+    return gbid.fit(STRUCTURE, shaken(seconds=1.0, stiffening=FILM))
+
+
+def test_stiffness_and_stiffening_of_the_rig_are_found_from_data_alone(found):
+    assert found.success
+    assert found.parameters["stiffening"] == pytest.approx(TRUTH["stiffening"], rel=0.02)
+    for name in ("k_xx", "k_yy", "b_xx", "b_yy"):
+        assert found.parameters[name] == pytest.approx(TRUTH[name], rel=0.003)
+    linear = gbid.fit(gbid.RotorBearing(disturbance_gain="none"), shaken(seconds=1.0, stiffening=FILM))
+    assert abs(linear.parameters["k_xx"] / TRUTH["k_xx"] - 1) > 0.03
+    assert (found.fit_percent > linear.fit_percent + 5).all()
+
+
+def test_linear_part_is_that_of_equation_10(found):
+    at_rest = found.model.linearise(np.zeros(6), np.zeros(2))
+    linear = evaluate(gbid.RotorBearing(disturbance_gain="none"), found.parameters)
+    for letter in "ABCD":
+        np.testing.assert_allclose(getattr(at_rest, letter), getattr(linear, letter), rtol=1e-12, atol=1e-9)
+
+
+def test_slopes_away_from_the_centre_are_those_of_the_film():
+    model = nonlinear_model(equations_of(STRUCTURE), TRUTH)
+    q = np.array([3e-6, -5e-6])
+    K = np.array([[TRUTH["k_xx"], TRUTH["k_xy"]], [TRUTH["k_yx"], TRUTH["k_yy"]]])
+    tangent = K * (1 + TRUTH["stiffening"] * q @ q) + 2 * TRUTH["stiffening"] * np.outer(K @ q, q)
+    np.testing.assert_allclose(model.linearise([*q, 0, 0, 0, 0], np.zeros(2)).A[2:4, :2], tangent, rtol=1e-12)
+
+
+def test_film_is_for_fits_of_the_bearing_with_filters_as_delays():
+    with pytest.raises(UsageError, match="film = 'cubic'; choose 'linear' or 'stiffening'"):
+        gbid.RotorBearing(film="cubic")
+    with pytest.raises(UsageError, match="needs delays as filters"):
+        gbid.RotorBearing(film="stiffening", delay="exact")
+    with pytest.raises(UsageError, match="fits of the bearing alone"):
+        gbid.Plant(STRUCTURE)
