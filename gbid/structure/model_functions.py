@@ -11,7 +11,7 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.discretise import check_holds, delayed_taps, discretise, squarings_for
 from gbid.errors import UsageError
-from gbid.structure.any_structure import AnyStructure
+from gbid.structure.any_structure import AnyStructure, equations_of
 from gbid.structure.linear import Structure, symbolic_matrices
 from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.first_steps import first_steps, over_a_sample
@@ -87,6 +87,7 @@ def casadi_functions(
     known_names(structure.parameters, values or {}, "values")
     known = {q.name: q.start for q in structure.parameters if q.start is not None} | dict(values or {})
     hold = structure.intersample if intersample is None else intersample
+    structure = equations_of(structure)
     if isinstance(structure, NonlinearStructure):
         return _of_nonlinear(structure, sample_time, known, hold, steps)
     if steps is not None:
