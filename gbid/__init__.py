@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from gbid.prefilter.prefilter import prefilter
     from gbid.recording import Recording, import_recording, load_recording, save_recording
     from gbid.structure import (
+        ClosedLoop,
         LinearModel,
         LinearStructure,
         NonlinearModel,
@@ -78,6 +79,7 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "ClosedLoop",
     "DelayEstimate",
     "FitResult",
     "FitTable",
@@ -180,7 +182,7 @@ _HOME = {
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
     "structure": (
         *("LinearModel", "LinearStructure", "NonlinearModel", "NonlinearStructure", "Parameter"),
-        *("PiezoPair", "Plant", "RotorBearing", "casadi_functions", "with_pade"),
+        *("ClosedLoop", "PiezoPair", "Plant", "RotorBearing", "casadi_functions", "with_pade"),
     ),
     "validate": (
         *("NominalActuator", "ResidualTest", "ValidationScores", "ValidationSummary"),

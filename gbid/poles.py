@@ -32,6 +32,21 @@ def one_of_each_pair(poles: ComplexArray) -> BoolArray:
     return ~is_real(poles) & (poles.imag > 0)
 
 
+def poles_of_samples(eigenvalues: ComplexArray, dt: float) -> ComplexArray:
+    """Return the poles ``log(eigenvalue) / dt`` in continuous time [rad/s] of a sampled model (any shape).
+
+    Parameters
+    ----------
+    eigenvalues : complex array
+        Eigenvalues of its state matrix.
+    dt : float
+        Sample time [s].
+    """
+    values = np.asarray(eigenvalues, complex)
+    with np.errstate(divide="ignore"):  # an eigenvalue at zero, as of a shift register
+        return np.asarray(np.log(np.abs(values)) / dt + 1j * np.angle(values) / dt)
+
+
 def frequencies_and_dampings(poles: ComplexArray) -> FloatArray:
     """Return natural frequency ``|p| / 2 pi`` [Hz] and damping factor ``-Re(p) / |p|`` of each pole (n, 2).
 

@@ -38,7 +38,15 @@ from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.structure import AnyStructure, NonlinearStructure, Parameter, as_names, equations_of, known_names
+from gbid.structure import (
+    AnyStructure,
+    NonlinearStructure,
+    Parameter,
+    as_names,
+    equations_of,
+    known_names,
+    symbolic_matrices,
+)
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
@@ -253,8 +261,8 @@ def fit(
         return Attempt(result, problem.rate(solution.unknowns), doubtful)
 
     def settle() -> dict[str, float] | None:
-        if isinstance(structure, NonlinearStructure):
-            return None  # an observer is for linear models
+        if isinstance(structure, NonlinearStructure) or symbolic_matrices(structure)[1].feedback is not None:
+            return None  # an observer is for linear models in continuous time
         moved = settled_start(
             structure, parameters, begin, undisturbed, intersample=hold, left_out=left_out or {}, engine=engine
         )

@@ -12,6 +12,7 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.discretise import (
     Dual,
+    Hold,
     check_holds,
     constant,
     delayed_taps,
@@ -24,6 +25,7 @@ from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.identify.disturbances.in_predictor import disturbing_columns, with_random_walks
 from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.structure import Matrices, Parameter, Structure, symbolic_matrices
+from gbid.structure.loop.closing import ControlLaw, HeldFeedback, LoopParts
 
 Focus = Literal["prediction", "simulation"]
 
@@ -67,12 +69,31 @@ class PredictorValues(NamedTuple):
     shift: tuple[int, ...]
 
 
+class _WithoutErrors(NamedTuple):
+    """Structure in discrete time: matrices, initial state, and whole samples in the delays."""
+
+    F: Dual
+    drive: Dual
+    C: Dual
+    feed: Dual
+    Kd: Dual
+    x0: Dual
+    shift: list[int]
+
+
 @dataclass(frozen=True, eq=False)
 class Predictor(GeneralPredictor):
-    """Predictor of a linear structure; see `GeneralPredictor`."""
+    """Predictor of a linear structure; see `GeneralPredictor`.
+
+    Attributes
+    ----------
+    feedback : HeldFeedback or None
+        Sampled controller of a loop.
+    """
 
     _function: ca.Function
     _shapes: tuple[tuple[int, int], ...]
+    feedback: HeldFeedback | None = None
 
     def at(self, theta: FloatArray) -> PredictorValues:
         """Return the matrices at values of the free parameters, shape (n_free,).
@@ -82,16 +103,35 @@ class Predictor(GeneralPredictor):
         UsageError
             When an exact delay is negative.
         """
-        A, B, C, D, K, B_delayed, delay, x0 = self._evaluate(theta)
-        n_p, n_y, n = len(self.free), self.n_outputs, self.n_states - self.spare
+        F, drive, C, feed, Kd, x0, shift = self._without_errors(theta)
+        n_y = self.n_outputs
+        if self._has_impulse:
+            drive, feed = side_by_side([drive, F @ x0]), side_by_side([feed, C @ x0])
+        if not self.feeds_back:
+            parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
+        else:
+            none = constant(np.zeros((n_y, n_y)), len(self.free))
+            parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
+        if self.horizon > 1:
+            parts = look_ahead(parts, F, drive, C, feed, self.horizon)
+        F, G, C, H = parts
+        own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
+        return _with_zero_states(own, self.spare) if self.spare else own
+
+    def _without_errors(self, theta: FloatArray) -> _WithoutErrors:
+        """Return the discrete-time structure before errors are fed back; of a loop with its controller closed.
+
+        Drive and feed are the effects of the regressors on state and output, without impulse and measured outputs.
+        """
+        A, B, C, D, K, B_delayed, delay, x0, *law = self._evaluate(theta)
+        n_p, n_y, n = len(self.free), self.n_outputs, A.shape[0]
         prompt, lead = list(self.prompt), self._lead
-        acting = [B.columns(prompt)] if prompt else []
-        if self.feeds_back:
-            acting.append(K)
-        holds = [self.holds[i] for i in prompt] + ["zoh"] * (n_y if self.feeds_back else 0)
-        joined = side_by_side(acting) if acting else constant(np.zeros((n, 0)), n_p)
-        F, now, following = discretise(A, joined, self.sample_time, holds)
-        Kd = now.columns(slice(len(prompt), None))
+        by_law = [law[4]] if law else []
+        acting = [B.columns(prompt), *by_law, K] if self.feeds_back else [B.columns(prompt), *by_law]
+        n_held = sum(part.shape[1] for part in acting[1:])
+        F, now, following = discretise(
+            A, side_by_side(acting), self.sample_time, [self.holds[i] for i in prompt] + ["zoh"] * n_held
+        )
         # Effect of the inputs without feedback, in the order of the regressors: state part, then output part.
         drives, shift = [now.columns(slice(0, len(prompt)))], []
         feeds = [D.columns(prompt)]
@@ -108,31 +148,39 @@ class Predictor(GeneralPredictor):
         if self.disturbances.n_columns:
             drives.append(constant(np.zeros((n, self.disturbances.n_columns)), n_p))
             feeds.append(disturbing_columns(self.disturbances, theta))
-        if self._has_impulse:
-            drives.append(F @ x0)
-            feeds.append(C @ x0)
-        drive, feed = side_by_side(drives), side_by_side(feeds)
-        if not self.feeds_back:
-            parts: tuple[Dual, Dual, Dual, Dual] = (F, drive, C, feed)
-        else:
-            none = constant(np.zeros((n_y, n_y)), n_p)
-            parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
-        if self.horizon > 1:
-            parts = look_ahead(parts, F, drive, C, feed, self.horizon)
-        F, G, C, H = parts
-        own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
-        return _with_zero_states(own, self.spare) if self.spare else own
+        held = now.columns(slice(len(prompt), None))
+        found = LoopParts(F, side_by_side(drives), C, side_by_side(feeds), held)
+        if self.feedback is None:
+            return _WithoutErrors(*found, x0, shift)
+        n_r = law[4].shape[1]
+        gain = held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((n, n_y)), n_p)
+        A_K, B_K, C_K, D_K, _, direct = law
+        known = ControlLaw(A_K, B_K, C_K, D_K, held.columns(slice(0, n_r)), direct)
+        F, drive, C, feed, Kd = self.feedback.close(found._replace(K=gain), known)
+        before = n - len(self.disturbances.walking)  # the states of random walks are the last
+        order = [*range(before), *range(n, F.shape[0]), *range(before, n)]
+        return _WithoutErrors(
+            F.rows(order).columns(order), drive.rows(order), C.columns(order), feed, Kd.rows(order), x0, shift
+        )
 
     def matrices(self, theta: FloatArray) -> list[Dual]:
-        """Return the matrices of the structure in continuous time with their derivatives, as in `Matrices`."""
-        A, B, C, D, K, B_delayed, delay, _ = self._evaluate(theta)
+        """Return the matrices of the structure with their derivatives, as in `Matrices`.
+
+        They are those of continuous time. Of a loop with a sampled controller they are those of the loop from sample to
+        sample.
+        """
+        A, B, C, D, K, B_delayed, delay, *_ = self._evaluate(theta)
         # the states of random walks are the last, but for spare ones
         own = slice(self.n_states - self.spare - len(self.disturbances.walking))
+        if self.feedback is not None:
+            A, B, C, D, K, _, _ = self._without_errors(theta)
+            B, D = (part.columns(slice(0, self.n_inputs)) for part in (B, D))
+            B_delayed = constant(np.zeros(B.shape), len(self.free))
         return [A.rows(own).columns(own), B.rows(own), C.columns(own), D, K.rows(own), B_delayed.rows(own), delay]
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
-        return np.pad(self._evaluate(theta)[-1].value[:, 0], (0, self.spare))
+        return np.pad(self._evaluate(theta)[7].value[:, 0], (0, self.spare))
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         n_p = len(self.free)
@@ -204,10 +252,13 @@ def build_predictor(
     gain_symbols = ca.vertcat(*(ca.SX.sym(q.name) for q in gains)) if gains else ca.SX(0, 1)
     m = with_random_walks(own, disturbances.walking, gain_symbols)
     holds = check_holds(intersample, m.B.shape[1])
-    n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
+    if m.feedback is not None:
+        _check_held(structure.name, holds, m.feedback.sample_time, sample_time)
+    n, n_u, n_y, n_all = m.A.shape[0], m.B.shape[1], m.C.shape[0], m.n_states
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
-    x0 = m.x0 if released else ca.SX(n, 1)
-    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay, x0]
+    x0 = m.x0 if released else ca.SX(n_all, 1)
+    law = list(m.feedback.law) if m.feedback else []
+    matrices = [m.A, m.B, m.C, m.D, K, m.B_delayed, m.delay, x0, *law]
     seen = {symbol.name() for symbol in ca.symvar(ca.veccat(*matrices))} - {q.name for q in gains}
     unused = tuple(q.name for q in structure.parameters if q.name not in seen and q.name not in fixed)
     free = tuple(q for q in structure.parameters if q.name not in fixed and q.name in seen)
@@ -218,7 +269,7 @@ def build_predictor(
     if constants:
         known, numbers = zip(*constants, strict=True)
         matrices = ca.substitute(matrices, [ca.vertcat(*known)], [ca.vertcat(*numbers)])
-    matrices[7] = ca.diag(ca.DM([float(own) for own in released] + [0.0] * (n - len(released)))) @ matrices[7]
+    matrices[7] = ca.diag(ca.DM([float(own) for own in released] + [0.0] * (n_all - len(released)))) @ matrices[7]
     delayed = tuple(_driven(m.B_delayed)) if m.has_delay else ()
     matrices[6] = matrices[6][list(delayed)] if delayed else ca.SX(0, 1)
     coefficients = [ca.SX.sym(term.name) for term in disturbances.terms]
@@ -226,19 +277,19 @@ def build_predictor(
     theta = ca.vertcat(*symbols, gain_symbols, *coefficients)
     flat = ca.vertcat(*(ca.vec(ca.densify(matrix)) for matrix in matrices))
     function = ca.Function("matrices", [theta], [flat, ca.densify(ca.jacobian(flat, theta))])
-    prompt = sorted({*_driven(m.B), *_driven(m.D)})
+    prompt = range(n_u) if law else sorted({*_driven(m.B), *_driven(m.D)})
     noise, walks = _only_in_gain(own), tuple(range(len(free), len(free) + len(gains)))
     return Predictor(
         free=(*free, *gains, *(Parameter("coefficient", 0.0).renamed(term.name) for term in disturbances.terms)),
         noise=(*(i for i, q in enumerate(free) if q.name in noise), *walks),
         unused=unused,
-        n_states=n,
+        n_states=n_all,
         n_inputs=n_u,
         n_outputs=n_y,
         holds=holds,
         prompt=tuple(prompt),
         delayed=delayed,
-        feeds_back=K.nnz() > 0,
+        feeds_back=K.nnz() > 0 or (bool(law) and focus == "prediction"),
         disturbances=disturbances,
         walks=walks,
         horizon=horizon,
@@ -246,6 +297,7 @@ def build_predictor(
         released=any(released),
         _function=function,
         _shapes=tuple(matrix.shape for matrix in matrices),
+        feedback=m.feedback,
     )
 
 
@@ -267,8 +319,20 @@ def noise_names(structure: Structure) -> frozenset[str]:
 
 
 def _only_in_gain(m: Matrices) -> frozenset[str]:
-    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(*m._replace(K=ca.SX(0, 0))))}
+    moves = {symbol.name() for symbol in ca.symvar(ca.veccat(*m.besides_gain))}
     return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
+
+
+def _check_held(name: str, holds: Sequence[Hold], rate: float, sample_time: float) -> None:
+    """Refuse data that a sampled controller cannot have run with."""
+    if not np.isclose(rate, sample_time, rtol=1e-6, atol=0):
+        raise UsageError(
+            f"{name}: the controller runs every {rate:g} s, the recordings are sampled at {sample_time:g} s"
+        )
+    if "foh" in holds:
+        raise UsageError(
+            f"{name}: intersample = 'foh'; what is injected is held like the output of the controller: 'zoh'"
+        )
 
 
 def _driven(matrix: ca.SX) -> list[int]:

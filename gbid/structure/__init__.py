@@ -3,6 +3,7 @@
 from gbid.structure.any_structure import Anatomy, AnyStructure, anatomy, equations_of, model_of
 from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
+from gbid.structure.loop.closed_loop import ClosedLoop
 from gbid.structure.model_functions import ModelFunctions, casadi_functions
 from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
@@ -20,6 +21,7 @@ __all__ = [
     "KEY_PARAMETERS",
     "Anatomy",
     "AnyStructure",
+    "ClosedLoop",
     "LinearModel",
     "LinearStructure",
     "Matrices",

@@ -73,11 +73,12 @@ def anatomy(
     _, m = symbolic_matrices(structure)
     every = list(range(m.B.shape[1]))
     own = every if driven is None else list(driven)
-    parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own]]
+    parts = [m.A, m.C, m.B[:, own], m.D[:, own], m.B_delayed[:, own], *(m.feedback.law if m.feedback else ())]
     if m.has_delay:
         parts.append(m.delay[every if moving is None else list(moving), :])
     only = _names([m.K]) - _names([*parts, m.x0])
-    return Anatomy(m.A.shape[0], len(every), _names([*parts, m.K]), _by_row(m.x0), m.K.nnz() > 0, only)
+    has_gain = m.K.nnz() > 0 or m.feedback is not None
+    return Anatomy(m.n_states, len(every), _names([*parts, m.K]), _by_row(m.x0), has_gain, only)
 
 
 def model_of(

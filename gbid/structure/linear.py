@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from gbid.brief import Brief
-from gbid.discretise import Hold
+from gbid.discretise import Hold, discretise
 from gbid.errors import UsageError
+from gbid.structure.loop.closing import ControlLaw, HeldFeedback, LoopParts
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
 
@@ -37,6 +38,9 @@ class Matrices(NamedTuple):
         (n, n_inputs), (n_inputs, 1) [s].
     x0 : casadi.SX
         (n, 1).
+    feedback : HeldFeedback, optional
+        Sampled controller that closes a loop around these matrices, which are then those of the plant. Its states
+        follow those of the plant, also in `x0`.
     """
 
     A: ca.SX
@@ -47,11 +51,23 @@ class Matrices(NamedTuple):
     B_delayed: ca.SX
     delay: ca.SX
     x0: ca.SX
+    feedback: HeldFeedback | None = None
 
     @property
     def has_delay(self) -> bool:
         """Whether inputs have exact delays."""
         return self.delay.numel() > 0
+
+    @property
+    def n_states(self) -> int:
+        """Number of states, with those of a controller."""
+        return int(self.A.shape[0]) + (self.feedback.n_states if self.feedback else 0)
+
+    @property
+    def besides_gain(self) -> tuple[ca.SX, ...]:
+        """All matrices but the disturbance gain."""
+        law = tuple(self.feedback.law) if self.feedback else ()
+        return (self.A, self.B, self.C, self.D, self.B_delayed, self.delay, self.x0, *law)
 
 
 @runtime_checkable
@@ -190,6 +206,7 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     where = f"structure {structure.name!r}"
     try:
         given = dict(structure.matrices(Values.of(structure.parameters, p)))
+        feedback: HeldFeedback | None = given.pop("feedback", None)
     except UsageError:
         raise
     except Exception as error:
@@ -213,14 +230,14 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     sx.setdefault("x0", ca.SX(0, 1))
     expected = {"A": (n, n), "B": (n, n_u), "C": (n_y, n), "D": (n_y, n_u), "K": (n, n_y), "B_delayed": (n, n_u)}
     expected["delay"] = (n_u if has_delay else 0, 1)
-    expected["x0"] = (n if "x0" in given else 0, 1)
+    expected["x0"] = (n + (feedback.n_states if feedback else 0) if "x0" in given else 0, 1)
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
         foreign = [symbol.name() for symbol in ca.Function("m", [p], [sx[letter]], {"allow_free": True}).free_sx()]
         if foreign:
             raise UsageError(f"{where}: {letter} contains symbols that are not parameters: {', '.join(foreign)}")
-    return p, Matrices(**sx)
+    return p, Matrices(**sx, feedback=feedback)
 
 
 def evaluate(
@@ -254,21 +271,34 @@ def evaluate(
     if missing:
         raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
     p, symbolic = symbolic_matrices(structure)
-    function = ca.Function("matrices", [p], [ca.densify(m) for m in symbolic[:-1]])  # a model has no initial state
+    feedback = symbolic.feedback
+    law = tuple(feedback.law) if feedback else ()
+    function = ca.Function("matrices", [p], [ca.densify(m) for m in (*symbolic[:7], *law)])
     numeric = function(ca.DM([float(values[parameter.name]) for parameter in structure.parameters]))
-    A, B, C, D, K, B_delayed, delay = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+    A, B, C, D, K, B_delayed, delay, *found = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+    if feedback:
+        A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*found))
     return LinearModel(
         A,
         B,
         C,
         D,
         K if K.any() else None,
+        dt=feedback.sample_time if feedback else None,
         B_delayed=B_delayed if symbolic.has_delay else None,
         delay=delay[:, 0] if symbolic.has_delay else None,
         input_names=input_names,
         output_names=output_names,
         name=structure.name,
     )
+
+
+def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> LoopParts:
+    """Return the loop of a plant in continuous time and a sampled controller, from sample to sample."""
+    n_w, n_r = plant.B.shape[1], law.drive.shape[1]
+    held = discretise(plant.A, np.hstack([plant.B, law.drive, plant.K]), feedback.sample_time)
+    B, drive, K = np.split(held.G_now, [n_w, n_w + n_r], axis=1)
+    return feedback.close(plant._replace(A=held.F, B=B, K=K), law._replace(drive=drive))
 
 
 def in_one_line(error: Exception) -> str:

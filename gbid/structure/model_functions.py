@@ -130,6 +130,8 @@ def _of_linear(
     structure: Structure, sample_time: float, values: Mapping[str, float], hold: str | Sequence[str]
 ) -> ModelFunctions:
     p, m = symbolic_matrices(structure)
+    if m.feedback is not None:
+        raise UsageError(f"structure {structure.name!r}: its controller runs in samples; give the plant alone")
     n, n_u, n_y = m.A.shape[0], m.B.shape[1], m.C.shape[0]
     holds = check_holds(hold, n_u)
     numbers = _numbers(structure, values)

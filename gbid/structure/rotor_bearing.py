@@ -113,7 +113,7 @@ class RotorBearing(Brief):
             }
         n_tau = self.pade_order
         delays = [pade_delay(p[f"tau_{axis}"], n_tau) for axis in AXES]
-        A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(delay[i] for delay in delays)) for i in range(4))
+        A_tau, B_tau, C_tau, D_tau = (ca.diagcat(*(getattr(delay, letter) for delay in delays)) for letter in "ABCD")
         zero, eye = ca.SX(2, 2), ca.SX.eye(2)
         A = ca.blockcat(
             [

@@ -181,7 +181,7 @@ def test_symbolic_matrices_are_the_evaluated_ones(structure):
     p, m = symbolic_matrices(structure)
     assert p.shape == (len(structure.parameters), 1)
     model = evaluate(structure, values)
-    function = ca.Function("m", [p], [ca.densify(letter) for letter in m])
+    function = ca.Function("m", [p], [ca.densify(letter) for letter in m[:8]])
     numeric = function([values[q.name] for q in structure.parameters])
     for found, expected in zip(numeric[:5], (model.A, model.B, model.C, model.D, model.K), strict=True):
         np.testing.assert_array_equal(np.array(found), expected)

@@ -59,6 +59,10 @@ def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matr
     for column, output in enumerate(outputs):
         onto[output, column] = 1
     still = ca.SX(added, n_u)
+    feedback = m.feedback
+    if feedback is not None:
+        drive = ca.vertcat(feedback.law.drive, ca.SX(added, feedback.law.drive.shape[1]))
+        feedback = feedback._replace(law=feedback.law._replace(drive=drive))
     return m._replace(
         A=ca.diagcat(m.A, ca.SX(added, added)),
         B=ca.vertcat(m.B, still),
@@ -66,4 +70,5 @@ def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matr
         K=ca.vertcat(m.K, ca.diag(gains) @ onto.T if gains.numel() else ca.SX(added, n_y)),
         B_delayed=ca.vertcat(m.B_delayed, still),
         x0=ca.vertcat(m.x0, ca.SX(added, 1)) if m.x0.numel() else m.x0,
+        feedback=feedback,
     )

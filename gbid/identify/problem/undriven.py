@@ -38,7 +38,7 @@ def without_inputs(structure: AnyStructure) -> AnyStructure:
 
     def matrices(p: Any) -> Mapping[str, Any]:
         own = linear.matrices(p)
-        return {letter: own[letter] for letter in ("A", "C", "K", "x0") if letter in own}
+        return {letter: own[letter] for letter in ("A", "C", "K", "x0", "feedback") if letter in own}
 
     return LinearStructure(
         structure.name, structure.parameters, matrices, (), structure.outputs, intersample=structure.intersample

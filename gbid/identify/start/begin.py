@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 
 from gbid.discretise import Hold
+from gbid.errors import UsageError
 from gbid.identify.data import FitData
 from gbid.identify.problem.undriven import without_inputs
+from gbid.identify.start.loop_start import plant_data
 from gbid.identify.start.start_values import has_own_method, start_values
 from gbid.identify.start.subspace_start import SubspaceStart, subspace_start
 from gbid.notes.fit_notes import FitNote
-from gbid.structure import Parameter
+from gbid.structure import ClosedLoop, Parameter
 
 _POOR = 0.3  # smallest misfit of a match that may lead to a wrong minimum
 
@@ -73,6 +75,8 @@ def begin_values(
     UsageError, DataError
         When start values are missing and cannot be found in the data.
     """
+    if isinstance(structure, ClosedLoop):
+        return _of_loop(structure, parameters, data, asked, from_data=from_data)
     stated = {q.name: q.start for q in parameters if q.start is not None and (q.fixed or not from_data)}
     notes: tuple[str, ...] = ()
     missing = [q.name for q in parameters if q.name not in stated]
@@ -89,6 +93,24 @@ def begin_values(
     }
     given = {name: "user" if name in asked else "structure" for name in stated}
     return Begin(within, {q.name: given.get(q.name, "data") for q in parameters}, notes)
+
+
+def _of_loop(
+    loop: ClosedLoop, parameters: Sequence[Parameter], data: FitData, asked: Set[str], *, from_data: bool
+) -> Begin:
+    """Return the start values of a loop: those of its plant, whose inputs are known from what the controller did."""
+    own = {gain.name for gain in loop.gains}
+    gains = {q.name: q.start for q in parameters if q.name in own and q.start is not None}
+    missing = [name for name in own if name not in gains]
+    if missing:
+        raise UsageError(f"{loop.name}: no start value for {', '.join(sorted(missing))}; give each a start")
+    rest = [q for q in parameters if q.name not in own]
+    plant = loop.structure
+    if from_data or any(q.start is None for q in rest):
+        data = plant_data(loop, data, gains)
+    begin = begin_values(plant, rest, data, plant.intersample, asked, from_data=from_data)
+    origin = {name: "user" if name in asked else "structure" for name in gains}
+    return Begin({**begin.values, **gains}, {**begin.origin, **origin}, begin.notes)
 
 
 def _note(found: SubspaceStart, missing: Sequence[str]) -> str:

@@ -105,7 +105,7 @@ def gain_parameters(
         Empty for a structure without parameters of its own for the gain.
     """
     p, m = symbolic_matrices(structure)
-    elsewhere = {symbol.name() for symbol in ca.symvar(ca.veccat(*m._replace(K=ca.SX(0, 0))))}
+    elsewhere = {symbol.name() for symbol in ca.symvar(ca.veccat(*m.besides_gain))}
     names = {symbol.name() for symbol in ca.symvar(m.K)} - elsewhere
     own = [i for i, q in enumerate(parameters) if not q.fixed and q.name in names]
     if not own:

@@ -70,6 +70,8 @@ def model_spreads(
     own, gain_std = chosen[np.ix_(part.index, part.index)], np.full(D.value.shape, np.nan)
     if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
         return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
-    if np.linalg.cond(A.value) < 1e15:
-        gain_std = spread(static_gain_slopes(A, B, C, D)[1], own)
-    return ModelSpreads(slopes, spread(mode_slopes(A)[1], own), gain_std)
+    dt = model.dt if isinstance(model, LinearModel) else None
+    still = A if dt is None else A - np.eye(A.shape[0])  # at rest x[k+1] = x[k]
+    if np.linalg.cond(still.value) < 1e15:
+        gain_std = spread(static_gain_slopes(still, B, C, D)[1], own)
+    return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], own), gain_std)

@@ -6,16 +6,18 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.discretise import Dual
-from gbid.poles import one_of_each_pair, oscillatory_modes
+from gbid.poles import one_of_each_pair, oscillatory_modes, poles_of_samples
 
 
-def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
-    """Return the oscillatory modes of a continuous-time matrix and their derivatives.
+def mode_slopes(A: Dual, dt: float | None = None) -> tuple[FloatArray, FloatArray]:
+    """Return the oscillatory modes of a state matrix and their derivatives.
 
     Parameters
     ----------
     A : Dual
         State matrix (n, n) with its derivatives by n_p parameters.
+    dt : float, optional
+        Sample time of a discrete-time matrix [s], whose poles are ``log(eigenvalue) / dt``.
 
     Returns
     -------
@@ -30,14 +32,15 @@ def mode_slopes(A: Dual) -> tuple[FloatArray, FloatArray]:
     ``f = |lambda| / 2 pi`` and ``zeta = -Re(lambda) / |lambda|`` the chain rule applies. For a double eigenvalue the
     derivative does not exist; near one the result is very large.
     """
-    poles, vectors = np.linalg.eig(A.value)
+    values, vectors = np.linalg.eig(A.value)
+    poles = values.astype(complex) if dt is None else poles_of_samples(values, dt)
     left = np.linalg.inv(vectors)
     keep = one_of_each_pair(poles)
     order = [i for i in np.argsort(np.abs(poles)) if keep[i]]
     modes, slopes = oscillatory_modes(poles), np.zeros((len(order), 2, len(A.slope)))
     for row, i in enumerate(order):
         pole, size = poles[i], abs(poles[i])
-        d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i])
+        d_pole = np.einsum("a,pab,b->p", left[i], A.slope, vectors[:, i]) / (1.0 if dt is None else values[i] * dt)
         d_size = (np.conj(pole) * d_pole).real / size
         slopes[row] = d_size / (2 * np.pi), -d_pole.real / size + pole.real * d_size / size**2
     return modes, slopes

@@ -7,6 +7,7 @@ import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.errors import UsageError
+from gbid.poles import poles_of_samples
 from gbid.structure.numeric.state_space import StateSpace
 
 
@@ -14,8 +15,7 @@ def continuous_poles(model: StateSpace) -> ComplexArray:
     """Return the poles in continuous time [rad/s], shape (n,), by rising magnitude."""
     poles = np.linalg.eigvals(model.A).astype(complex)
     if model.dt is not None:
-        with np.errstate(divide="ignore"):  # a discrete pole at zero, as of a shift register
-            poles = np.log(np.abs(poles)) / model.dt + 1j * np.angle(poles) / model.dt
+        poles = poles_of_samples(poles, model.dt)
     return poles[np.lexsort((poles.imag, np.abs(poles)))]
 
 

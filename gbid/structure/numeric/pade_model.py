@@ -38,8 +38,8 @@ def with_pade(model: LinearModel, order: int = 3) -> LinearModel:
     prompt = np.setdiff1d(np.arange(model.B.shape[1]), late)
     parts = [pade_delay(float(model.delay[i]), order) for i in late]
     A_tau, B_tau, C_tau, D_tau = (
-        block_diag(*(np.asarray(ca.DM(part[k]), float) for part in parts)) if parts else np.zeros((0, 0))
-        for k in range(4)
+        block_diag(*(np.asarray(ca.DM(getattr(part, letter)), float) for part in parts)) if parts else np.zeros((0, 0))
+        for letter in "ABCD"
     )
     n, n_tau = model.n_states, len(A_tau)
     B = np.array(model.B)

@@ -1,0 +1,1 @@
+"""Closed loop of a structure and a controller, as a structure."""

@@ -1,0 +1,219 @@
+"""Structure of a closed loop: a plant with unknown parameters, and a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import casadi as ca
+import numpy as np
+
+from gbid.brief import Brief
+from gbid.discretise import Hold
+from gbid.errors import UsageError
+from gbid.structure.any_structure import equations_of
+from gbid.structure.linear import Matrices, Structure, as_names, symbolic_matrices
+from gbid.structure.loop.closing import ControlLaw, HeldFeedback, LoopParts, closed_parts
+from gbid.structure.loop.known_law import SymbolicLaw, computed_later, law_of, tustin
+from gbid.structure.loop.pade_matrices import pade_matrices
+from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
+from gbid.structure.numeric.linear_model import LinearModel
+from gbid.structure.parameter import Parameter, Values
+
+PREFIX = "controller_"
+"""What precedes the gains of a controller in the names of the parameters of a loop."""
+
+Injection = Literal["plant input", "set point"]
+
+
+@dataclass(frozen=True, init=False)
+class ClosedLoop(Brief):
+    """Closed loop of a structure and a controller: from what is injected to what is recorded.
+
+    A loop is a structure like any other: `gbid.fit` estimates the parameters of the plant from recordings that were
+    made in closed loop. With ``focus="prediction"`` the predictor knows that the controller reacts to measured noise
+    as well (direct method). With ``focus="simulation"`` the outputs are simulated from the injected signal alone
+    (indirect method): feedback gives the estimates no bias, whatever the noise is.
+
+    Parameters
+    ----------
+    structure : Structure
+        Plant, from the output of the controller to the recorded outputs. Exact delays become Padé filters, because
+        what the plant gets depends on its own past.
+    controller : LinearModel or Structure
+        Controller from measured outputs to the inputs of the plant, which add up as ``r = w + K y``: positive gains
+        are positive feedback. A continuous model or structure makes a continuous loop, with exact delays of the model
+        as Padé filters. A sampled model (`dt`), or a structure with `sample_time`, makes the loop as it runs on a
+        target: the output is held between samples and acts after the computation time. The parameters of a structure
+        are estimated along, under the names ``controller_<gain>``; fix those that are known.
+    sample_time : float, optional
+        Samples a continuous controller by the trapezoidal rule (Tustin) [s].
+    computation_samples : int
+        Samples from the measurement to the action of a sampled controller. One by default: the target computes for
+        one sample.
+    measured : sequence of int, optional
+        Positions of the outputs (channels) that the controller measures. By default the last ones, which is p of a
+        `Plant` with the outputs u and p.
+    injected : {"plant input", "set point"}
+        Where the excitation w enters. "plant input": it is added to the output of the controller. "set point": the
+        controller gets ``y - w``.
+    inputs, outputs : str or sequence of str, optional
+        Signals of the recordings: what is injected, ``"w"`` by default, and by default the outputs of the structure.
+    pade_order : int
+        Order of the Padé filters.
+
+    Raises
+    ------
+    UsageError
+        When the sizes of plant and controller do not fit, when both have direct feedthrough, or when options of a
+        sampled controller are given for a continuous one.
+
+    Notes
+    -----
+    Prediction errors of the loop with its known controller are those of the plant, driven by what the controller did
+    (Ljung, System Identification, 2nd ed., Sec. 13.4 and 13.5). The two focuses are the direct and the indirect method
+    of that chapter. The direct method is the more precise one, and needs a sufficient disturbance gain.
+    """
+
+    structure: Structure
+    controller: LinearModel | Structure
+    sample_time: float | None
+    computation_samples: int
+    measured: tuple[int, ...]
+    injected: Injection
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    pade_order: int
+    name: str
+    intersample: Hold
+
+    def __init__(
+        self,
+        structure: Structure,
+        controller: LinearModel | Structure,
+        *,
+        sample_time: float | None = None,
+        computation_samples: int = 1,
+        measured: Sequence[int] | None = None,
+        injected: Injection = "plant input",
+        inputs: str | Sequence[str] = "w",
+        outputs: str | Sequence[str] | None = None,
+        pade_order: int = 3,
+        name: str = "",
+    ) -> None:
+        where = f"loop of {structure.name!r} and {controller.name!r}"
+        if injected not in ("plant input", "set point"):
+            raise UsageError(f"{where}: injected = {injected!r}; choose 'plant input' or 'set point'")
+        if computation_samples < 0:
+            raise UsageError(f"{where}: computation_samples = {computation_samples}; it must be at least 0")
+        own_rate = controller.dt if isinstance(controller, LinearModel) else None
+        if own_rate is not None and sample_time is not None and not np.isclose(own_rate, sample_time, rtol=1e-9):
+            raise UsageError(f"{where}: sample_time = {sample_time:g} s, but the controller has {own_rate:g} s")
+        if isinstance(equations_of(structure), NonlinearStructure):
+            raise UsageError(f"{where}: the plant must be linear")
+        _, m = symbolic_matrices(structure)
+        if m.feedback is not None:
+            raise UsageError(f"{where}: the structure is a sampled loop itself; give its plant")
+        n_y, n_s, n_r = m.C.shape[0], *_size(controller)
+        rows = tuple(range(n_y - n_s, n_y) if measured is None else measured)
+        if n_r != m.B.shape[1] or len(rows) != n_s or not all(0 <= row < n_y for row in rows):
+            raise UsageError(
+                f"{where}: the controller takes {n_s} signals and makes {n_r}, the structure takes {m.B.shape[1]} and "
+                f"gives {n_y}; measured = {list(rows)}"
+            )
+        values = {
+            "structure": structure,
+            "controller": controller,
+            "sample_time": sample_time if own_rate is None else own_rate,
+            "computation_samples": computation_samples,
+            "measured": rows,
+            "injected": injected,
+            "inputs": as_names(inputs),
+            "outputs": as_names(structure.outputs if outputs is None else outputs),
+            "pade_order": pade_order,
+            "name": name or f"{structure.name}, closed by {controller.name}",
+            "intersample": "zoh",
+        }
+        for key, value in values.items():
+            object.__setattr__(self, key, value)
+        self._check_feedthrough(where)
+
+    @property
+    def gains(self) -> tuple[Parameter, ...]:
+        """Gains of a controller that is a structure, under their names in the loop."""
+        if isinstance(self.controller, LinearModel):
+            return ()
+        return tuple(replace(gain, name=PREFIX + gain.name) for gain in self.controller.parameters)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        """Parameters of the plant, then the gains."""
+        return (*self.structure.parameters, *self.gains)
+
+    def matrices(self, p: Values) -> dict[str, Any]:
+        """Return the matrices of the loop; of a sampled one those of the plant, with its controller as "feedback"."""
+        plant, law = self._plant(p), self._law(p)
+        set_point = self.injected == "set point"
+        drive, feed = plant.B, plant.D
+        n, n_y = plant.A.shape[0], plant.C.shape[0]
+        B, D = (ca.SX(n, len(self.measured)), ca.SX(n_y, len(self.measured))) if set_point else (drive, feed)
+        whole = ControlLaw(law.A, law.B, law.C, law.D, drive, feed)
+        parts = LoopParts(plant.A, B, plant.C, D, plant.K)
+        begins = {"x0": ca.vertcat(plant.x0, ca.SX(law.A.shape[0], 1))} if plant.x0.numel() else {}
+        if self.sample_time is None:
+            return {**closed_parts(parts, whole, self.measured, set_point)._asdict(), **begins}
+        return {
+            **parts._asdict(),
+            "feedback": HeldFeedback(whole, self.measured, set_point, self.sample_time),
+            **begins,
+        }
+
+    def controller_model(self, gains: Mapping[str, float] | None = None) -> LinearModel:
+        """Return the controller as it acts: sampled, with its computation time, and with Padé filters for delays.
+
+        Parameters
+        ----------
+        gains : dict of str to float, optional
+            Gains of a controller that is a structure, under their names in the loop.
+
+        Raises
+        ------
+        UsageError
+            When a gain is missing.
+        """
+        given = gains or {}
+        missing = [gain.name for gain in self.gains if gain.name not in given]
+        if missing:
+            raise UsageError(f"{self.name}: no value for {', '.join(missing)}")
+        law = self._law(Values({gain.name: ca.SX(float(given[gain.name])) for gain in self.gains}))
+        A, B, C, D = (np.asarray(ca.DM(ca.densify(M)), float).reshape(M.shape) for M in law)
+        return LinearModel(A, B, C, D, dt=self.sample_time, name=self.controller.name)
+
+    def _plant(self, p: Values) -> Matrices:
+        own, m = symbolic_matrices(self.structure)
+        values = ca.vertcat(*(p[q.name] for q in self.structure.parameters))
+        A, B, C, D, K, B_delayed, delay, x0 = ca.substitute(list(m[:8]), [own], [values])
+        return pade_matrices(Matrices(A, B, C, D, K, B_delayed, delay, x0), self.pade_order)
+
+    def _law(self, p: Values) -> SymbolicLaw:
+        law = law_of(self.controller, ca.vertcat(*(p[gain.name] for gain in self.gains)), self.pade_order)
+        if self.sample_time is None:
+            return law
+        if not (isinstance(self.controller, LinearModel) and self.controller.dt is not None):
+            law = tustin(law, self.sample_time)
+        return computed_later(law, self.computation_samples)
+
+    def _check_feedthrough(self, where: str) -> None:
+        _, m = symbolic_matrices(self.structure)
+        symbols = Values.of(self.parameters, ca.vertcat(*(ca.SX.sym(q.name) for q in self.parameters)))
+        if m.D.nnz() and self._law(symbols).D.nnz():
+            raise UsageError(
+                f"{where}: both have direct feedthrough; give the controller a low-pass or a computation time"
+            )
+
+
+def _size(controller: LinearModel | Structure) -> tuple[int, int]:
+    """Return the numbers of inputs and outputs of a controller."""
+    D = controller.D if isinstance(controller, LinearModel) else symbolic_matrices(controller)[1].D
+    return int(D.shape[1]), int(D.shape[0])
