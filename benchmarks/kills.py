@@ -162,6 +162,8 @@ def begin(arguments: Sequence[str], log: Path, mark: str, backwards: bool = Fals
         app(list(arguments), prog_name="gbid")
     except SystemExit as end:
         code = int(end.code or 0)
+    except KeyboardInterrupt:  # before gbid's own guard is reached, where Python itself ends so
+        code = 130
     except BaseException:
         traceback.print_exc()
     finally:
