@@ -8,6 +8,8 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 # One thread in each BLAS: the matrices here are small, and workers run side by side.
 export OPENBLAS_NUM_THREADS := 1
 export OMP_NUM_THREADS := 1
+# The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: run paper test test-quick lint types imports unit test-slow mutants fuzz bench docs release-check clean help
 
