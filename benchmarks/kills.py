@@ -292,7 +292,7 @@ def campaign(case: Case, folder: Path, chance: random.Random, tally: Tally, most
             status = ended(process, _LONGEST if workers else 30.0)
         if status is None:
             os.kill(process, signal.SIGKILL)
-            ended(process, 30.0)
+            status = ended(process, 30.0)
             tally.failed += 1
             tally.faults.append(f"{folder.name}: hangs after {number.name}: {log.read_text()[-300:]}")
         _check_orphans(mark, tally, folder)

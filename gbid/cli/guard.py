@@ -7,8 +7,9 @@ import signal
 import sys
 import threading
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 
 import typer
@@ -18,7 +19,7 @@ from gbid.cli.telling import tell
 from gbid.errors import GbidError, from_interrupt
 
 INTERRUPTED = 130
-_SOON_S = 0.05
+_SOON_S = 0.2
 _INTERRUPTED = ["interrupted; complete results are kept"]
 
 
@@ -35,7 +36,7 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
     """
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # without a home folder it would tell where its cache is
     try:
-        with _interrupted_by_termination(), _heard_again():
+        with _interruptible():
             yield
     except typer.Exit:
         raise
@@ -52,49 +53,64 @@ def guarded(as_json: bool = False, debug: bool = False) -> Iterator[None]:
 
 
 @contextmanager
-def _interrupted_by_termination() -> Iterator[None]:
-    """Return a context in which SIGTERM and SIGHUP act as Ctrl-C does: workers end and complete results are kept.
+def _interruptible() -> Iterator[None]:
+    """Return a context which Ctrl-C, SIGTERM and SIGHUP end: workers end and complete results are kept.
 
-    Signals that the process ignores (nohup) stay ignored.
+    Signals that the process ignores (nohup) stay ignored. A signal raises KeyboardInterrupt wherever Python is. In some
+    places exceptions are forgotten: in finalisers, in callbacks of weak references, and within CasADi while it tries
+    the types of arguments. So the signal comes again until its exception is being handled.
     """
-    ours = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
-    changed = [number for number in ours if signal.getsignal(number) == signal.SIG_DFL]
     if threading.current_thread() is not threading.main_thread():
-        changed = []
-    for number in changed:
-        signal.signal(number, _interrupt)
+        yield
+        return
+    handlers: dict[int, Callable[[int, FrameType | None], None]] = {}
+    if signal.getsignal(signal.SIGINT) == signal.default_int_handler:
+        handlers[signal.SIGINT] = _interrupt
+    for name, handler in (("SIGTERM", _terminate), ("SIGHUP", _terminate), ("SIGALRM", _again)):
+        number = getattr(signal, name, None)  # Windows has not all of them
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            handlers[number] = handler
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    hook, sys.unraisablehook = sys.unraisablehook, partial(_forgotten, sys.unraisablehook)
     try:
         yield
     finally:
-        for number in changed:
-            signal.signal(number, signal.SIG_DFL)
-
-
-@contextmanager
-def _heard_again() -> Iterator[None]:
-    """Return a context in which an interruption that Python ignores comes again.
-
-    Python prints and forgets what is raised in the callbacks of weak references and in finalisers, also Ctrl-C.
-    """
-    before = sys.unraisablehook
-
-    def hook(ignored: sys.UnraisableHookArgs) -> None:
-        if issubclass(ignored.exc_type, KeyboardInterrupt):
-            threading.Timer(_SOON_S, signal.raise_signal, (signal.SIGINT,)).start()
-        else:
-            before(ignored)
-
-    sys.unraisablehook = hook
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before
+        _remind(0.0)
+        sys.unraisablehook = hook
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    _remind(_SOON_S)
+    raise KeyboardInterrupt
+
+
+def _terminate(_number: int, _frame: FrameType | None) -> None:
+    _remind(_SOON_S)
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a process that a shell runs in the background
         raise KeyboardInterrupt
-    signal.raise_signal(signal.SIGINT)
+    signal.raise_signal(signal.SIGINT)  # whose handler is another one while a solver runs
+
+
+def _again(number: int, frame: FrameType | None) -> None:
+    handled = sys.exception()
+    if handled is None or not from_interrupt(handled):
+        _terminate(number, frame)
+
+
+def _forgotten(before: Callable[[sys.UnraisableHookArgs], object], ignored: sys.UnraisableHookArgs) -> None:
+    """Be reminded of an interruption that Python would print and forget."""
+    if issubclass(ignored.exc_type, KeyboardInterrupt):
+        _remind(_SOON_S)
+    else:
+        before(ignored)
+
+
+def _remind(seconds: float) -> None:
+    """Let SIGALRM come after some time, and then again and again; never with 0."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
 
 
 def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> None:

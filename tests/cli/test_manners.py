@@ -1,13 +1,16 @@
 """Manners of the command line: -h, --quiet, -v, --dry-run, next steps, NO_COLOR, `gbid clean` and `gbid doctor`."""
 
+import contextlib
 import io
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
 import weakref
 
+import casadi as ca
 import pytest
 import typer
 from experiment_files import gbid, write_spring
@@ -134,6 +137,25 @@ def test_an_interruption_that_python_ignores_comes_again(capsys):
         body()
     assert end.value.exit_code == 130
     assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_that_casadi_forgets_comes_again(number, capsys):
+    class Sent:
+        @property
+        def shape(self):
+            signal.raise_signal(number)
+
+    def body():
+        with contextlib.suppress(NotImplementedError):  # CasADi's word for an argument of no use
+            ca.densify(Sent())
+        time.sleep(20)
+
+    with pytest.raises(typer.Exit) as end, guarded():
+        body()
+    assert end.value.exit_code == 130
+    assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
+    assert signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
 
 
 def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
