@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from gbid.control.tuning.tune import tune
     from gbid.identify import (
         DelayEstimate,
+        FitProblem,
         FitResult,
         FitTable,
         MeasuredResponse,
@@ -39,6 +40,7 @@ if TYPE_CHECKING:
         Progress,
         estimate_delay,
         fit_multistart,
+        fit_problem,
         load_fit,
         load_table,
         measured_response,
@@ -81,6 +83,7 @@ if TYPE_CHECKING:
 __all__ = [
     "ClosedLoop",
     "DelayEstimate",
+    "FitProblem",
     "FitResult",
     "FitTable",
     "GainResult",
@@ -125,6 +128,7 @@ __all__ = [
     "fit_lpv",
     "fit_lpv_direct",
     "fit_multistart",
+    "fit_problem",
     "fit_ringdown",
     "from_ross",
     "identify_runout",
@@ -162,7 +166,7 @@ _HOME = {
         *("GainResult", "ParetoFront", "Uncertainty", "maximise_damping", "pareto", "tune"),
     ),
     "identify": (
-        *("FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart"),
+        *("FitProblem", "FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart", "fit_problem"),
         *(
             "load_fit",
             "load_table",

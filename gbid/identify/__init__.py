@@ -12,6 +12,7 @@ from gbid.identify.fit_store import load_fit, save_fit
 from gbid.identify.multistart import Minimum, MultiStart, fit_multistart
 from gbid.identify.nlp.watch import Progress
 from gbid.identify.options import FitOptions
+from gbid.identify.problem.fit_problem import FitProblem, fit_problem
 from gbid.identify.result import FitResult, StartsTried
 from gbid.identify.status import FitStatus
 from gbid.identify.table.fit_table import FitTable
@@ -23,6 +24,7 @@ __all__ = [
     "Bode",
     "DelayEstimate",
     "FitOptions",
+    "FitProblem",
     "FitResult",
     "FitStatus",
     "FitTable",
@@ -43,6 +45,7 @@ __all__ = [
     "estimate_delay",
     "fit",
     "fit_multistart",
+    "fit_problem",
     "load_fit",
     "load_table",
     "measured_response",

@@ -13,40 +13,30 @@ from gbid.arrays import FloatArray
 from gbid.discretise import Hold, check_holds
 from gbid.errors import UsageError
 from gbid.identify.attempts import Attempt, Plan, best_attempt
-from gbid.identify.data import gather
-from gbid.identify.disturbances.asked import TrendName, asked_disturbances
-from gbid.identify.disturbances.disturbance_starts import disturbance_starts, without_disturbances
+from gbid.identify.disturbances.asked import TrendName
 from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion, Shooting
-from gbid.identify.nlp.solver import Solution, solve
+from gbid.identify.nlp.solver import IpoptOptions, Solution, solve
 from gbid.identify.nlp.watch import Progress, Stop
 from gbid.identify.nonlinear.integration import integrated_finely, integration_shift, with_integration_error
 from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several, strongly_coloured
 from gbid.identify.outcome import outcome, overflow_notes
 from gbid.identify.predictor import Focus
-from gbid.identify.problem.assembly import Scope, assemble, automatic_window, full_start
-from gbid.identify.problem.either_kind import any_noise_names
-from gbid.identify.problem.initial_states import InitialState, initial_states
-from gbid.identify.problem.scaling import build_problem, unknown_bounds, window_length
-from gbid.identify.problem.undriven import check_inputs_suffice, decay_notes, without_inputs
+from gbid.identify.problem.asked_extra import Constraints, ExtraCost, extra_notes
+from gbid.identify.problem.assembly import Scope, automatic_window
+from gbid.identify.problem.initial_states import InitialState
+from gbid.identify.problem.request import check_choices, request
+from gbid.identify.problem.scaling import window_length
+from gbid.identify.problem.undriven import decay_notes
 from gbid.identify.result import FitResult
 from gbid.identify.robust.loss import LossName, robust_loss
 from gbid.identify.robust.reweighting import reweighted_solution
-from gbid.identify.start.begin import begin_values
 from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.structure import (
-    AnyStructure,
-    NonlinearStructure,
-    Parameter,
-    as_names,
-    equations_of,
-    known_names,
-    symbolic_matrices,
-)
+from gbid.structure import AnyStructure, NonlinearStructure, symbolic_matrices
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
@@ -67,6 +57,8 @@ def fit(
     fixed: Mapping[str, float] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     prior: Mapping[str, tuple[float, float]] | None = None,
+    extra_cost: ExtraCost | None = None,
+    constraints: Constraints | None = None,
     local: Mapping[str, Scope] | None = None,
     offsets: bool = False,
     robust: LossName | None = None,
@@ -84,6 +76,7 @@ def fit(
     scaling: bool = True,
     engine: EngineName = "auto",
     progress: Callable[[Progress], None] | None = None,
+    ipopt: IpoptOptions | None = None,
 ) -> FitResult:
     """Return the fit of a structure to recordings by prediction errors (paper, Eq. 15) with multiple shooting.
 
@@ -117,6 +110,12 @@ def fit(
         Bounds that replace those of the structure.
     prior : dict of str to (value, std), optional
         Prior knowledge of parameters as normal distributions, in the units of the parameters.
+    extra_cost : callable, optional
+        ``extra_cost(p, x0)`` returns a CasADi expression that is added to the negative log-likelihood. `p` has the
+        parameters by name, ``x0["run 1"]`` is the initial state of a recording. ``((p.k - 3) / 0.1) ** 2 / 2`` is the
+        prior ``(3, 0.1)`` of k.
+    constraints : callable, optional
+        ``constraints(p, x0)`` returns a list of ``(lower, expression, upper)``. Equal bounds are an equation.
     local : dict of str to {"recording", "operating_point"}, optional
         Parameters with a separate value for each recording or operating point.
     offsets : bool
@@ -160,6 +159,8 @@ def fit(
         Engine of the pass over the samples; "auto" compiles it if there is a C compiler.
     progress : callable, optional
         Function that is called with a `Progress` at each iteration. What it raises ends the fit, and is raised again.
+    ipopt : dict, optional
+        Options of IPOPT by name, such as ``{"print_level": 5}``. They replace those of gbid.
 
     Returns
     -------
@@ -177,85 +178,90 @@ def fit(
         After Ctrl-C.
     """
     began = time.perf_counter()
-    _check_options(focus, criterion, window, stop, max_iterations, horizon)
+    _check_options(stop, window, max_iterations)
     check_order(structure, "fit(structure, recordings)")
-    recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    in_names = as_names(structure.inputs if inputs is None else inputs)
-    out_names = as_names(structure.outputs if outputs is None else outputs)
-    hold = structure.intersample if intersample is None else intersample
-    given = _given_starts(start)
-    parameters = _with_options(structure.parameters, given, fixed or {}, bounds or {}, from_data=isinstance(start, str))
-    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
-    stated, structure = structure, equations_of(structure)
-    check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
-    states = initial_states(structure, parameters, initial_state, [record.name for record in data.records])
-
-    if criterion == "auto":
-        criterion = "det" if len(data.output_names) > 1 and output_weights is None else "trace"
+    asked = request(
+        structure,
+        recordings,
+        {
+            "inputs": inputs,
+            "outputs": outputs,
+            "focus": focus,
+            "intersample": intersample,
+            "criterion": criterion,
+            "horizon": horizon,
+            "output_weights": output_weights,
+            "start": start,
+            "fixed": fixed,
+            "bounds": bounds,
+            "prior": prior,
+            "extra_cost": extra_cost,
+            "constraints": constraints,
+            "local": local,
+            "offsets": offsets,
+            "trend": trend,
+            "hum": hum,
+            "initial_state": initial_state,
+            "left_out": left_out,
+            "scaling": scaling,
+            "engine": engine,
+        },
+    )
+    structure, data, first = asked.structure, asked.data, asked.first
     loss = robust_loss(robust, robust_threshold, len(data.output_names))
     bootstrap = asked_bootstrap(std, bootstrap_draws, bootstrap_seed)
-    disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
-    with one_blas_thread():
-        undisturbed = without_disturbances(disturbances, data)
-        asked = {*given, *(fixed or {})}
-        first = begin_values(stated, parameters, undisturbed, hold, asked, from_data=isinstance(start, str))
-    structure = structure if in_names else without_inputs(structure)
     begin = first.values
 
     def attempt(
         own: Mapping[str, float], samples: int | None, gain_held: bool = False, unstable: bool = True
     ) -> Attempt:
-        used = _with_gain_held(structure, parameters) if gain_held else parameters
-        assembly = assemble(
-            structure,
-            used,
-            own,
-            data,
-            intersample=hold,
-            focus=focus,
-            horizon=horizon,
-            disturbances=disturbances,
-            released=states.released,
-            local=local or {},
-            left_out=left_out or {},
-            window=samples,
-            engine=engine,
-        )
-        full = full_start(assembly, own, disturbance_starts(disturbances, structure, own, data, hold))
-        problem, unknowns = build_problem(assembly, data, criterion, output_weights, full, prior or {}, scaling)
-        rate = problem.rate(unknowns)
+        posed = asked.posed(own, samples, gain_held=gain_held)
+        problem, box = posed.problem, (posed.lower, posed.upper)
+        rate = problem.rate(posed.unknowns)
         if plan.grows(rate) and not unstable:
             return Attempt(None, rate, False)
-        lower, upper = unknown_bounds(problem, assembly, states)
-        inside = np.clip(unknowns, lower, upper)
 
-        def run(begin: FloatArray, posed: Shooting = problem) -> Solution:
-            return solve(posed, begin, lower, upper, stop=stop, max_iterations=max_iterations, progress=progress)
+        def run(start: FloatArray, posed: Shooting = problem) -> Solution:
+            limit = max_iterations
+            return solve(posed, start, *box, stop=stop, max_iterations=limit, progress=progress, ipopt=ipopt)
 
-        solution, more = lowest_of_several(problem, run(inside), (lower, upper), run)
-        problem, solution = integrated_finely(problem, solution, (lower, upper), run)
-        shift = integration_shift(problem, solution.unknowns, (lower, upper))
+        solution, more = lowest_of_several(problem, run(np.clip(posed.unknowns, *box)), box, run)
+        problem, solution = integrated_finely(problem, solution, box, run)
+        shift = integration_shift(problem, solution.unknowns, box)
         light = None
         if loss is not None and solution.status.success:
             light, solution = reweighted_solution(problem, solution, loss, run)
         options = FitOptions(
-            inputs=in_names,
-            outputs=out_names,
+            inputs=asked.inputs,
+            outputs=asked.outputs,
             focus=focus,
             horizon=horizon,
-            intersample=check_holds(hold, len(data.input_names)),
-            criterion=criterion,
+            intersample=check_holds(asked.intersample, len(data.input_names)),
+            criterion=asked.criterion,
             stop=stop,
-            initial_state=states.word,
-            disturbances=disturbances,
+            initial_state=asked.states.word,
+            disturbances=asked.disturbances,
             robust=loss,
             window=None if samples is None else window_length(problem),
-            engine=assembly.engine,
+            engine=posed.assembly.engine,
             bootstrap=bootstrap,
         )
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
-        result = outcome(structure, used, data, assembly, problem, solution, full, moved, options, states, light)
+        result = outcome(
+            structure,
+            posed.parameters,
+            data,
+            posed.assembly,
+            problem,
+            solution,
+            posed.begin,
+            moved,
+            options,
+            asked.states,
+            light,
+        )
         notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
+        notes = (*notes, *extra_notes(problem, solution.unknowns))
         result = with_integration_error(replace(result, notes=(*result.notes, *notes)), shift)
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)
         return Attempt(result, problem.rate(solution.unknowns), doubtful)
@@ -263,10 +269,9 @@ def fit(
     def settle() -> dict[str, float] | None:
         if isinstance(structure, NonlinearStructure) or symbolic_matrices(structure)[1].feedback is not None:
             return None  # an observer is for linear models in continuous time
-        moved = settled_start(
-            structure, parameters, begin, undisturbed, intersample=hold, left_out=left_out or {}, engine=engine
-        )
-        return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in parameters}
+        own, hold = (structure, asked.parameters, begin, asked.undisturbed), asked.intersample
+        moved = settled_start(*own, intersample=hold, left_out=left_out or {}, engine=engine)
+        return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in asked.parameters}
 
     usual = automatic_window(data, focus)
     plan = Plan(
@@ -284,62 +289,9 @@ def fit(
     return replace(result, wall_time_s=time.perf_counter() - began)
 
 
-def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-    """Return the parameters with those fixed on which only the disturbance gain depends."""
-    names = any_noise_names(structure)
-    return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
-
-
-def _check_options(
-    focus: str, criterion: str, window: int | str | None, stop: str, max_iterations: int, horizon: int
-) -> None:
-    choices = {
-        "focus": (focus, ("prediction", "simulation")),
-        "criterion": (criterion, ("auto", "trace", "det")),
-        "stop": (stop, ("tolerance", "paper")),
-    }
-    for name, (value, allowed) in choices.items():
-        if value not in allowed:
-            *others, last = map(repr, allowed)
-            raise UsageError(f"{name} = {value!r}; choose {', '.join(others)} or {last}")
+def _check_options(stop: str, window: int | str | None, max_iterations: int) -> None:
+    check_choices({"stop": (stop, ("tolerance", "paper"))})
     if window != "auto" and window is not None and (isinstance(window, str) or window < 2):
         raise UsageError(f"window = {window}; a shooting window needs at least 2 samples, or None for one window")
     if max_iterations < 1:
         raise UsageError(f"max_iterations = {max_iterations}; it must be at least 1")
-    if horizon < 1:
-        raise UsageError(f"horizon = {horizon}; it must be at least 1")
-    if horizon > 1 and focus == "simulation":
-        raise UsageError("horizon is for focus = 'prediction'; a simulation has no horizon")
-
-
-def _with_options(
-    parameters: tuple[Parameter, ...],
-    start: Mapping[str, float],
-    fixed: Mapping[str, float],
-    bounds: Mapping[str, tuple[float, float]],
-    *,
-    from_data: bool,
-) -> tuple[Parameter, ...]:
-    """Return the parameters with the start values, fixed values and bounds of the caller."""
-    for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
-        known_names(parameters, given, what)
-    changed = []
-    for q in parameters:
-        if q.name in fixed:
-            changed.append(Parameter(q.name, float(fixed[q.name]), fixed=True, unit=q.unit))
-            continue
-        lower, upper = bounds.get(q.name, (q.lower, q.upper))
-        stated = start.get(q.name, q.start)
-        if from_data and stated is not None and not lower <= stated <= upper:
-            stated = None  # it would be one of many starts of a match, and lies outside of the bounds of the caller
-        changed.append(replace(q, start=stated, lower=lower, upper=upper))
-    return tuple(changed)
-
-
-def _given_starts(start: Mapping[str, float] | str | None) -> dict[str, float]:
-    """Return the start values of the caller; none when they are to be found in the data."""
-    if isinstance(start, str):
-        if start != "data":
-            raise UsageError(f"start = {start!r}; give values by name, or 'data' to find all of them in the recordings")
-        return {}
-    return dict(start or {})

@@ -39,7 +39,8 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     links = segment_of[problem.links[between]].reshape(-1, 2)
     n, n_t = problem.n_states, problem.n_theta
     starts = (n_t + firsts[:, None] * n + np.arange(n)).ravel()
-    joined = replace(problem, parts=parts, links=links, _last={}, _met={})
+    extra = problem.extra and problem.extra.moved_to(segment_of[problem.extra.windows])
+    joined = replace(problem, parts=parts, links=links, extra=extra, _last={}, _met={})
     return joined, np.concatenate([np.arange(n_t), starts])
 
 

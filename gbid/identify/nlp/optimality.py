@@ -41,7 +41,7 @@ def distance_from_rest(problem: Shooting, unknowns: FloatArray, box: tuple[Float
     iterate = problem.at(unknowns)
     if not (np.isfinite(iterate.cost) and np.isfinite(iterate.gradient).all() and np.isfinite(iterate.hessian).all()):
         return np.inf
-    if iterate.cost <= problem.exact_cost:
+    if problem.extra is None and iterate.cost <= problem.exact_cost:
         return 0.0
     try:
         step = gauss_newton_step(problem, iterate, unknowns, box)
@@ -62,9 +62,7 @@ def gauss_newton_step(
     problem: Shooting, iterate: Iterate, x: FloatArray, box: tuple[FloatArray, FloatArray]
 ) -> FloatArray:
     """Return the step (n_unknowns,) from the sparse system of the optimality conditions."""
-    limits, low, high = problem.limits
-    values = limits @ x[: problem.n_theta]
-    met = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+    met, off = _active_rows(problem, iterate, x)
     active, of = np.nonzero(met)
     n, m = problem.n_unknowns, problem.n_gaps + len(met)
     upper, across = problem.hessian_pattern, problem.jacobian_pattern
@@ -97,8 +95,24 @@ def gauss_newton_step(
         ),
         shape=(n + m, n + m),
     ).tocsc()
-    slope = np.concatenate([iterate.gradient * size, np.concatenate([iterate.gaps, np.zeros(len(met))]) / largest])
+    slope = np.concatenate([iterate.gradient * size, np.concatenate([iterate.gaps, off]) / largest])
     with warnings.catch_warnings():
         warnings.simplefilter("error", MatrixRankWarning)
         factors = splu(matrix)
     return np.asarray(size * factors.solve(np.where(free, -slope, 0.0))[:n])
+
+
+def _active_rows(problem: Shooting, iterate: Iterate, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return slopes of active constraints, (n_active, n_unknowns), and how far each is from its bound, (n_active,)."""
+    limits, low, high = problem.limits
+    values = limits @ x[: problem.n_theta]
+    own = limits[(values < low + _AT_BOUND) | (values > high - _AT_BOUND)]
+    rows = np.pad(own, ((0, 0), (0, problem.n_unknowns - problem.n_theta)))
+    off = np.zeros(len(own))
+    if problem.placed is None:
+        return rows, off
+    distance = problem.placed.terms.off_bound(iterate.extra_rows, _AT_BOUND)
+    active = ~np.isnan(distance)
+    further = np.zeros((int(active.sum()), problem.n_unknowns))
+    further[:, problem.placed.places] = iterate.extra_slopes[active]
+    return np.vstack([rows, further]), np.concatenate([off, distance[active]])

@@ -10,6 +10,9 @@ import numpy as np
 from gbid.arrays import IntArray
 from gbid.identify.nlp.record_group import RecordGroup
 
+LinksByPart = list[tuple[IntArray, IntArray, RecordGroup]]
+"""Links that start in each part: row numbers, first windows, and the part."""
+
 
 class Pattern(NamedTuple):
     """Nonzeros of a sparse matrix in column order, and the order that brings computed entries there."""
@@ -22,7 +25,7 @@ class Pattern(NamedTuple):
 
 def jacobian_pattern(
     links: IntArray,
-    links_by_part: Sequence[tuple[IntArray, IntArray, RecordGroup]],
+    links_by_part: LinksByPart,
     n: int,
     n_theta: int,
     n_unknowns: int,
@@ -56,6 +59,7 @@ def hessian_pattern(
     theta_pairs: tuple[IntArray, IntArray],
     n: int,
     n_unknowns: int,
+    places: IntArray | None = None,
 ) -> Pattern:
     """Return where the upper triangle of the Hessian has entries, an arrow.
 
@@ -67,6 +71,8 @@ def hessian_pattern(
         Pairs of parameters that meet in some part.
     n, n_unknowns : int
         Number of states and of unknowns.
+    places : (n_used,) integer array, optional
+        Unknowns that meet in extra terms. What they add to the pattern are the last entries before the order.
     """
     rows, columns = [theta_pairs[0]], [theta_pairs[1]]
     upper, n_theta = np.triu_indices(n), n_unknowns - int(first_window[-1]) * n
@@ -75,7 +81,37 @@ def hessian_pattern(
         shape = (last - first, len(part.index), n)
         rows += [np.broadcast_to(part.index[None, :, None], shape), base[:, None] + upper[0]]
         columns += [np.broadcast_to((base[:, None] + np.arange(n))[:, None, :], shape), base[:, None] + upper[1]]
+    if places is not None:
+        have = np.concatenate([np.ravel(r) + n_unknowns * np.ravel(c) for r, c in zip(rows, columns, strict=True)])
+        low, high = pairs_of(places)
+        new = ~np.isin(low + n_unknowns * high, have)
+        rows.append(low[new])
+        columns.append(high[new])
     return _in_column_order((n_unknowns, n_unknowns), rows, columns)
+
+
+def pairs_of(places: IntArray) -> tuple[IntArray, IntArray]:
+    """Return rows and columns, in the upper triangle, of all pairs of unknowns, in the order of ``triu_indices``."""
+    i, j = np.triu_indices(len(places))
+    return np.minimum(places[i], places[j]), np.maximum(places[i], places[j])
+
+
+def theta_pairs(parts: Sequence[RecordGroup], n_theta: int) -> tuple[IntArray, IntArray]:
+    """Return the pairs of parameters that are in the same part, upper triangle."""
+    meet = np.eye(n_theta, dtype=bool)
+    for part in parts:
+        meet[np.ix_(part.index, part.index)] = True
+    rows, columns = np.nonzero(np.triu(meet))
+    return rows, columns
+
+
+def links_by_part(links: IntArray, parts: Sequence[RecordGroup], first_window: IntArray) -> LinksByPart:
+    """Return the links that start in each part: row numbers, first windows, and the part."""
+    result = []
+    for part, first, last in zip(parts, first_window[:-1], first_window[1:], strict=True):
+        own = np.flatnonzero((links[:, 0] >= first) & (links[:, 0] < last))
+        result.append((own, links[own, 0], part))
+    return result
 
 
 def _in_column_order(shape: tuple[int, int], rows: list[IntArray], columns: list[IntArray]) -> Pattern:

@@ -79,6 +79,8 @@ class Iterate(NamedTuple):
         Results of the pass for each part, in physical units; empty where the problem has no value.
     factor : float
         Factor from the sums of a sweep to the scale of the cost.
+    extra_rows, extra_slopes : (n_rows,) and (n_rows, n_used) array
+        Constraints of the caller and their derivatives by the unknowns that they use.
     """
 
     cost: float
@@ -88,6 +90,8 @@ class Iterate(NamedTuple):
     hessian: FloatArray
     sweeps: tuple[Sweep, ...]
     factor: float
+    extra_rows: FloatArray = np.zeros(0)
+    extra_slopes: FloatArray = np.zeros((0, 0))
 
 
 class GroupGradient(NamedTuple):
@@ -121,7 +125,15 @@ class Prior(NamedTuple):
 
 
 def tied_limits(parts: Sequence[RecordGroup], theta_scale: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the linear constraints that the bounds of tied parameters are; see `Shooting.limits`."""
+    """Return the linear constraints that are bounds of tied parameters, which are sums of several unknowns.
+
+    Returns
+    -------
+    (n_limits, n_theta) array
+        Matrix from the scaled unknowns to the parameters in units of their own scales.
+    (n_limits,) array, (n_limits,) array
+        Lower and upper bounds.
+    """
     rows, lower, upper = [], [], []
     for part in parts:
         if part.tie is None:

@@ -2,8 +2,7 @@
 
 Unknowns are the free parameters and the state at the start of each window. The cost is the prediction error of Eq. 15,
 or the log-determinant of its covariance. Constraints require that each window ends at the start state of the next one.
-Unknowns and constraints are scaled to the order of one. One pass over the samples gives cost, gradient, constraints,
-Jacobian and Gauss-Newton Hessian of an iterate.
+Unknowns and constraints are scaled to the order of one. One pass over the samples gives all values of an iterate.
 """
 
 from __future__ import annotations
@@ -18,7 +17,15 @@ import numpy as np
 from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.growth import spectral_radius
 from gbid.identify.kernel.sweep import Sweep, tied
-from gbid.identify.nlp.patterns import Pattern, hessian_pattern, jacobian_pattern
+from gbid.identify.nlp.extra_terms import ExtraTerms, PlacedTerms
+from gbid.identify.nlp.patterns import (
+    LinksByPart,
+    Pattern,
+    hessian_pattern,
+    jacobian_pattern,
+    links_by_part,
+    theta_pairs,
+)
 from gbid.identify.nlp.record_group import Iterate, Prior, RecordGroup, tied_limits
 from gbid.identify.nlp.stability import EDGE, near_instability
 from gbid.identify.predictor import Predictor, PredictorValues
@@ -50,6 +57,8 @@ class Shooting:
         Scales of the states.
     prior : Prior
         Prior knowledge of the parameters.
+    extra : ExtraTerms or None
+        Further cost and constraints of the caller.
     stable_only : bool
         Whether unstable predictors are invalid: over a finite record they can have smaller errors than the stable one.
     """
@@ -62,6 +71,7 @@ class Shooting:
     theta_scale: FloatArray
     state_scale: FloatArray
     prior: Prior
+    extra: ExtraTerms | None = None
     stable_only: bool = False
     _last: dict[bytes, Iterate] = field(default_factory=dict)
     _met: dict[bytes, list[Any]] = field(default_factory=dict)
@@ -207,15 +217,7 @@ class Shooting:
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Linear constraints: bounds of tied parameters, which are sums of several unknowns.
-
-        Returns
-        -------
-        (n_limits, n_theta) array
-            Matrix from the scaled unknowns to the parameters in units of their own scales.
-        (n_limits,) array, (n_limits,) array
-            Lower and upper bounds.
-        """
+        """Linear constraints: bounds of tied parameters, see `tied_limits`."""
         return tied_limits(self.parts, self.theta_scale)
 
     @cached_property
@@ -226,7 +228,8 @@ class Shooting:
     @cached_property
     def hessian_pattern(self) -> Pattern:
         """Sparsity pattern of the upper triangle of the Hessian: an arrow."""
-        return hessian_pattern(self.parts, self.first_window, self._theta_pairs, self.n_states, self.n_unknowns)
+        sizes, meet = (self.n_states, self.n_unknowns), None if self.placed is None else self.placed.places
+        return hessian_pattern(self.parts, self.first_window, self._theta_pairs, *sizes, meet)
 
     @property
     def exact_cost(self) -> float:
@@ -251,26 +254,21 @@ class Shooting:
     @property
     def likelihood_size(self) -> float:
         """Ratio of the negative log-likelihood to the cost."""
-        n_y = len(self.output_weights)
-        return self.n_samples * (n_y if self.criterion == "trace" else 1)
+        return self.n_samples * (len(self.output_weights) if self.criterion == "trace" else 1)
 
     @cached_property
-    def _links_by_part(self) -> list[tuple[IntArray, IntArray, RecordGroup]]:
-        """Links that start in each part: row numbers, first windows, and the part."""
-        result = []
-        for part, first, last in zip(self.parts, self.first_window[:-1], self.first_window[1:], strict=True):
-            own = np.flatnonzero((self.links[:, 0] >= first) & (self.links[:, 0] < last))
-            result.append((own, self.links[own, 0], part))
-        return result
+    def _links_by_part(self) -> LinksByPart:
+        return links_by_part(self.links, self.parts, self.first_window)
 
     @cached_property
     def _theta_pairs(self) -> tuple[IntArray, IntArray]:
-        """Pairs of parameters that are in the same part, upper triangle."""
-        meet = np.eye(self.n_theta, dtype=bool)
-        for part in self.parts:
-            meet[np.ix_(part.index, part.index)] = True
-        rows, columns = np.nonzero(np.triu(meet))
-        return rows, columns
+        return theta_pairs(self.parts, self.n_theta)
+
+    @cached_property
+    def placed(self) -> PlacedTerms | None:
+        """Extra terms among the unknowns of this problem."""
+        sizes = self.theta_scale, self.state_scale, self.likelihood_size
+        return None if self.extra is None else PlacedTerms.among(self.extra, *sizes)
 
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
@@ -313,12 +311,11 @@ class Shooting:
                 (s.end_theta[local] / x[:, None] * t[part.index]).ravel(),
                 (s.end_start[local] / x[:, None] * x).ravel(),
             ]
-        away = theta - self.prior.mean
-        known = self.prior.information / self.likelihood_size
+        away, known = theta - self.prior.mean, self.prior.information / self.likelihood_size
         gradient, hessian = factor * gradient + known * away, factor * hessian + np.diag(known)
         gaps = (ends[self.links[:, 0]] - starts[self.links[:, 1]]) / x
         jacobian_entries = np.concatenate([*jacobian, np.full(self.n_gaps, -1.0)])
-        return Iterate(
+        found = Iterate(
             self.cost(products) + 0.5 * float(known @ away**2),
             np.concatenate([gradient * t, np.concatenate(starts_gradient).ravel()]),
             gaps.ravel(),
@@ -327,11 +324,12 @@ class Shooting:
             tuple(sweeps),
             factor,
         )
+        return found if self.placed is None else self.placed.added(found, theta, starts, self.hessian_pattern)
 
     def hessian_entries(
         self, theta: FloatArray, mixed: Sequence[FloatArray], starts: Sequence[FloatArray]
     ) -> FloatArray:
-        """Return the entries in the order of `hessian_pattern`.
+        """Return the entries in the order of `hessian_pattern`; zero for those of extra terms.
 
         `theta` (n_theta, n_theta) is the block of the parameters. For each part, `mixed` (n_windows, n_p, n) is the
         block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.
@@ -342,9 +340,11 @@ class Shooting:
             for m, own in zip(mixed, starts, strict=True)
             for entries in (m.ravel(), own[:, rows, columns].ravel())
         ]
-        return np.asarray(np.concatenate([theta[self._theta_pairs], *arrow])[self.hessian_pattern.order])
+        flat, order = np.concatenate([theta[self._theta_pairs], *arrow]), self.hessian_pattern.order
+        return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])
 
     def _invalid(self) -> Iterate:
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
         gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
-        return Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
+        found = Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
+        return found if self.placed is None else self.placed.without_value(found)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -13,16 +13,19 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.nlp.casadi_callback import Oracle, Trouble
+from gbid.errors import UsageError
+from gbid.identify.nlp.functions.casadi_callback import Trouble
+from gbid.identify.nlp.functions.nlp_functions import NlpFunctions, nlp_functions
 from gbid.identify.nlp.hessian import Curvature, ExactHessian, GaussNewton
 from gbid.identify.nlp.one_window import in_one_window, in_windows
 from gbid.identify.nlp.optimality import distance_from_rest
-from gbid.identify.nlp.patterns import Pattern
-from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.watch import PATIENCE, Interrupt, Progress, Stop, Watch
 from gbid.identify.status import FitStatus
 from gbid.threads import one_solver
+
+IpoptOptions = Mapping[str, str | float]
+"""Options of IPOPT by name; a whole number is a number, too."""
 
 _TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
 _REST = 0.1  # standard deviations that the next step of a solution may still be long
@@ -81,6 +84,7 @@ def solve(
     stop: Stop = "tolerance",
     max_iterations: int = 100,
     progress: Callable[[Progress], None] | None = None,
+    ipopt: IpoptOptions | None = None,
 ) -> Solution:
     """Minimise the cost with all gaps closed.
 
@@ -101,6 +105,8 @@ def solve(
     max_iterations : int
     progress : callable, optional
         Called with each `Progress`.
+    ipopt : dict, optional
+        Options of IPOPT that replace those of this module.
 
     Returns
     -------
@@ -113,17 +119,20 @@ def solve(
     Exception
         What `progress` raises.
     """
+    given = ipopt or {}
     with _interruptible() as interrupt:
         watch = Watch(problem, stop, progress, interrupt, (lower, upper), changes_over=True)
-        first = _run(problem, watch, (start, lower, upper), _TOLERANCE, max_iterations, GaussNewton(problem))
+        first = _run(problem, watch, (start, lower, upper), _TOLERANCE, max_iterations, GaussNewton(problem), given)
         if not watch.creeping:
-            return _at_rest(problem, first, (lower, upper), interrupt, stop, max_iterations, progress, GaussNewton)
+            return _at_rest(
+                problem, first, (lower, upper), interrupt, stop, max_iterations, progress, GaussNewton, given
+            )
         joined, kept = in_one_window(problem)
         box = (first.unknowns[kept], lower[kept], upper[kept])
         watch = Watch(joined, stop, progress, interrupt, box[1:], earlier=first.history)
-        last = _run(joined, watch, box, _TOLERANCE, max_iterations - first.iterations, ExactHessian(joined))
         left = max_iterations - first.iterations
-        last = _at_rest(joined, last, box[1:], interrupt, stop, left, progress, ExactHessian)
+        last = _run(joined, watch, box, _TOLERANCE, left, ExactHessian(joined), given)
+        last = _at_rest(joined, last, box[1:], interrupt, stop, left, progress, ExactHessian, given)
     return replace(
         last,
         unknowns=in_windows(problem, joined, last.unknowns),
@@ -142,6 +151,7 @@ def _at_rest(
     max_iterations: int,
     progress: Callable[[Progress], None] | None,
     curvature: Callable[[Shooting], Curvature],
+    ipopt: IpoptOptions,
 ) -> Solution:
     """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
     rest = distance_from_rest(problem, solution.unknowns, box)
@@ -151,7 +161,7 @@ def _at_rest(
         return replace(solution, rest=rest, status=solution.status if rest <= _REST_BY_PAPER else FitStatus.STALLED)
     left = max(1, max_iterations - solution.iterations)
     watch = Watch(problem, stop, progress, interrupt, box, earlier=solution.history)
-    last = _run(problem, watch, (solution.unknowns, *box), _TOLERANCE * _TIGHTER, left, curvature(problem))
+    last = _run(problem, watch, (solution.unknowns, *box), _TOLERANCE * _TIGHTER, left, curvature(problem), ipopt)
     rest = distance_from_rest(problem, last.unknowns, box)
     status = FitStatus.STALLED if last.status.success and rest > _REST else last.status
     return replace(
@@ -171,17 +181,15 @@ def _run(
     tolerance: float,
     max_iterations: int,
     curvature: Curvature,
+    ipopt: IpoptOptions,
 ) -> Solution:
     """Run IPOPT once from a start within bounds."""
     start, lower, upper = box
     trouble = Trouble()
-    solver, _alive = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble)
+    solver, functions = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble, ipopt)
     if watch.interrupt.error is None:
-        closed = np.zeros(problem.n_gaps)
-        _, lowest, highest = problem.limits
-        bounds = {"lbg": np.concatenate([closed, lowest]), "ubg": np.concatenate([closed, highest])}
         with one_solver():
-            result = solver(x0=start, lbx=lower, ubx=upper, **bounds)
+            result = solver(x0=start, lbx=lower, ubx=upper, lbg=functions.lower, ubg=functions.upper)
     if watch.interrupt.error is not None:
         raise watch.interrupt.error
     if trouble.defect is not None:
@@ -195,64 +203,20 @@ def _run(
 
 
 def _ipopt(
-    problem: Shooting, watch: Watch, tolerance: float, max_iterations: int, curvature: Curvature, trouble: Trouble
-) -> tuple[ca.Function, list[Oracle]]:
+    problem: Shooting,
+    watch: Watch,
+    tolerance: float,
+    max_iterations: int,
+    curvature: Curvature,
+    trouble: Trouble,
+    ipopt: IpoptOptions,
+) -> tuple[ca.Function, NlpFunctions]:
     """Build the solver; also return the callbacks, which must outlive it."""
-    n, m = problem.n_unknowns, problem.n_gaps
-    vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
-    limits = ca.sparsify(ca.DM(np.pad(problem.limits[0], ((0, 0), (0, n - problem.n_theta)))))
-    constraints = ca.Sparsity.dense(m + limits.rows(), 1)
-    gaps, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
-    jacobian = ca.vertcat(gaps, limits.sparsity())
-    point = [("x", vector), ("p", empty)]
-    multipliers = [("lam_f", scalar), ("lam_g", constraints)]
-
-    def flat(values: ca.DM) -> FloatArray:
-        return np.asarray(values, float).ravel()
-
-    def at(x: ca.DM) -> Iterate:
-        return problem.at(flat(x))
-
-    def held(x: ca.DM) -> ca.DM:
-        return ca.vertcat(ca.DM(at(x).gaps), limits @ x)
-
-    def cost(x: ca.DM) -> list[Any]:
-        found = np.nan
-        try:
-            found = at(x).cost
-            return [found, held(x)]
-        finally:
-            trouble.points += not np.isfinite(found)
-
-    value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], cost, trouble)
-    gradient = Oracle(
-        "grad_f",
-        point,
-        [("f", scalar), ("grad_f_x", vector)],
-        lambda x, _p: [at(x).cost, at(x).gradient],
-        trouble,
-    )
-    jac = Oracle(
-        "jac_g",
-        point,
-        [("g", constraints), ("jac_g_x", jacobian)],
-        lambda x, _p: [held(x), ca.vertcat(ca.DM(gaps, at(x).jacobian), limits)],
-        trouble,
-    )
-    hess = Oracle(
-        "hess_lag",
-        point + multipliers,
-        [("triu_hess_gamma_x_x", hessian)],
-        lambda x, _p, lam_f, lam_g: [ca.DM(hessian, curvature(flat(x), float(lam_f), flat(lam_g)[:m]))],
-        trouble,
-    )
-    x = ca.MX.sym("x", n)
-    f, g = value(x)
+    functions = nlp_functions(problem, curvature, trouble)
+    x = ca.MX.sym("x", problem.n_unknowns)
+    f, g = functions.value(x)
     options: dict[str, Any] = {
-        "no_nlp_grad": True,
-        "grad_f": gradient,
-        "jac_g": jac,
-        "hess_lag": hess,
+        **functions.derivatives,
         "iteration_callback": watch,
         "print_time": False,
         "error_on_fail": False,
@@ -271,10 +235,15 @@ def _ipopt(
             "bound_push": 1e-8,
             "bound_frac": 1e-8,
             "bound_relax_factor": 0.0,
+            **ipopt,
         },
     }
-    solver = ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options)
-    return solver, [value, gradient, jac, hess]
+    try:
+        return ca.nlpsol("fit", "ipopt", {"x": x, "f": f, "g": g}, options), functions
+    except RuntimeError as error:
+        if not ipopt:
+            raise
+        raise UsageError(f"ipopt = {dict(ipopt)}: {str(error).splitlines()[-1].strip()}") from None
 
 
 def _status(by_ipopt: str, watch: Watch) -> FitStatus:
@@ -291,12 +260,6 @@ def _status(by_ipopt: str, watch: Watch) -> FitStatus:
         if watch.exact:
             return FitStatus.CONVERGED_AT_ROUNDING
     return _BY_IPOPT.get(by_ipopt, FitStatus.SOLVER_FAILED)
-
-
-def _sparsity(pattern: Pattern) -> ca.Sparsity:
-    """Return the pattern as CasADi keeps it: columns with rows in order."""
-    counts = np.bincount(pattern.columns, minlength=pattern.shape[1])
-    return ca.Sparsity(*pattern.shape, [0, *np.cumsum(counts).tolist()], pattern.rows.tolist())
 
 
 @contextmanager

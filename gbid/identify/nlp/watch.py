@@ -82,7 +82,10 @@ class Watch(ca.Callback):
     ) -> None:
         ca.Callback.__init__(self)
         self._problem, self._stop, self._progress, self.interrupt = problem, stop, progress, interrupt
-        n, m = problem.n_unknowns, problem.n_gaps + len(problem.limits[0])
+        n, m = (
+            problem.n_unknowns,
+            problem.n_gaps + len(problem.limits[0]) + (0 if problem.extra is None else len(problem.extra.size)),
+        )
         sizes = {"f": 1, "x": n, "g": m, "lam_x": n, "lam_g": m, "lam_p": 0}
         self._shapes = [
             ca.Sparsity.dense(sizes[name], 1) if name != "lam_p" else ca.Sparsity(0, 0)
@@ -115,13 +118,16 @@ class Watch(ca.Callback):
     def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
         values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
         x = np.asarray(values["x"], float).ravel()
-        gaps = np.asarray(values["g"], float).ravel()[: self._problem.n_gaps]
+        g, extra = np.asarray(values["g"], float).ravel(), self._problem.extra
+        gaps = g[: self._problem.n_gaps]
         step = sigma = np.inf
         if self._previous is not None:
             moved, n_theta = x - self._previous, self._problem.n_theta
             step = float(np.linalg.norm(moved[:n_theta])) / max(float(np.linalg.norm(x[:n_theta])), 1e-300)
             sigma = in_standard_deviations(self._problem, self._problem.at(x), moved)
         gap = float(np.abs(gaps).max(initial=0.0))
+        if extra is not None:
+            gap = max(gap, extra.violation(g[len(g) - len(extra.size) :]))
         done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
         now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
         self.history.append(now)
@@ -132,7 +138,7 @@ class Watch(ca.Callback):
                 self.interrupt.error = error
                 return [1]
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
-        self.exact = now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
+        self.exact = extra is None and now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
         # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
         small = sigma < _STEP_TOLERANCE and self._sigma < _STEP_BEFORE and now.gap < _GAP_TOLERANCE
         still = small and self._stop == "tolerance"

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import null_space
 
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.identify.nlp.shooting import Shooting
@@ -21,6 +22,7 @@ _UNDETERMINED = 1e-13  # largest eigenvalue of the scaled information for which 
 _RESOLVED = 1e-8
 FLATTEST = 1e-4
 """Smallest curvature of a minimum, as a part of the Gauss-Newton curvature."""
+_ACTIVE = 1e-4  # of the size of a constraint that lies on its bound
 _BLOCK = 64  # samples of a block of the pass
 
 
@@ -130,14 +132,17 @@ def covariance(
 
     # The weight is one over the total error, that of the likelihood one over its variance: they differ by this.
     unit = float(np.trace(weight @ error_products)) / (problem.n_samples * len(weight))
-    known = np.concatenate([problem.prior.information * unit, np.zeros(n_all - n_p)])
+    known = unit * _known(problem, theta, starts, n_all)
     keep = np.concatenate([~held, ~settled.ravel()])
     kept = np.ix_(keep, keep)
-    H = (found.hessian + np.diag(known))[kept]
-    J_white = ((share * found.hessian if alike else found.shaped) + np.diag(known * unit))[kept]
+    H = (found.hessian + known)[kept]
+    J_white = ((share * found.hessian if alike else found.shaped) + known * unit)[kept]
 
     scale = np.sqrt(np.maximum(np.diag(H), np.finfo(float).tiny))
-    eigenvalues, vectors = np.linalg.eigh(H / np.outer(scale, scale))
+    free = _along_constraints(problem, theta, starts, n_all)[:, keep] / scale
+    along = null_space(free) if len(free) else np.eye(len(scale))
+    eigenvalues, vectors = np.linalg.eigh(along.T @ (H / np.outer(scale, scale)) @ along)
+    vectors = along @ vectors
     dark = eigenvalues < _UNDETERMINED * eigenvalues[-1]
     root = vectors[:, ~dark] / np.sqrt(eigenvalues[~dark]) / scale[:, None]  # root root' is the inverse
     flatness, n_kept = np.nan, int((~held).sum())
@@ -154,12 +159,12 @@ def covariance(
         transforms: Iterable[Transform] = (transformed(r, np.flatnonzero(keep)) for r in found.sensitivities)
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         J, models = covariance_of(transforms, weight, root)
-        J_known = root.T @ np.diag(known * unit)[kept] @ root
+        J_known = root.T @ (known * unit)[kept] @ root
         J += J_known
         blurred = eigenvalues[~dark] < _RESOLVED * eigenvalues[-1]
         onto = root
         if found.observed is not None:
-            exact = root.T @ (found.observed + np.diag(known))[kept] @ root
+            exact = root.T @ (found.observed + known)[kept] @ root
             own, axes = np.linalg.eigh(_with_rounding(exact, blurred, np.eye(len(blurred))))
             flatness = float(own[0])
             onto = root @ (axes / own) @ axes.T if flatness >= FLATTEST else root
@@ -176,6 +181,25 @@ def covariance(
     directions = directions[np.linalg.norm(directions, axis=1) > 1e-2]
     condition = float(eigenvalues[-1] / max(eigenvalues[0], np.finfo(float).tiny))
     return Covariance(white, robust, flatness, directions, condition, drawn, tuple(models))
+
+
+def _known(problem: Shooting, theta: FloatArray, starts: FloatArray, n_all: int) -> FloatArray:
+    """Return the information of prior and extra cost on parameters and initial states, (n_all, n_all)."""
+    known = np.diag(np.concatenate([problem.prior.information, np.zeros(n_all - problem.n_theta)]))
+    if problem.extra is not None:
+        known[np.ix_(problem.extra.used, problem.extra.used)] += problem.extra.at(theta, starts).hessian
+    return known
+
+
+def _along_constraints(problem: Shooting, theta: FloatArray, starts: FloatArray, n_all: int) -> FloatArray:
+    """Return the slopes of the active constraints of the caller, (n_active, n_all): along them nothing moves."""
+    if problem.extra is None:
+        return np.zeros((0, n_all))
+    values = problem.extra.at(theta, starts)
+    active = ~np.isnan(problem.extra.off_bound(values.rows, _ACTIVE))
+    slopes = np.zeros((int(active.sum()), n_all))
+    slopes[:, problem.extra.used] = values.slopes[active]
+    return slopes
 
 
 def _with_rounding(matrix: FloatArray, blurred: BoolArray, instead: FloatArray) -> FloatArray:

@@ -1,0 +1,1 @@
+"""Functions of CasADi for the nonlinear programme of a fit."""

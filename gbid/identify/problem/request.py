@@ -1,0 +1,263 @@
+"""What a fit was asked for: options checked, data gathered, start values found; and the problem posed from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, TypedDict
+
+from gbid.arrays import FloatArray
+from gbid.discretise import Hold
+from gbid.errors import UsageError
+from gbid.identify.data import FitData, gather
+from gbid.identify.disturbances.asked import TrendName, asked_disturbances
+from gbid.identify.disturbances.disturbance_starts import disturbance_starts, without_disturbances
+from gbid.identify.disturbances.disturbances import Disturbances
+from gbid.identify.kernel.engine import EngineName
+from gbid.identify.nlp.shooting import Criterion, Shooting
+from gbid.identify.predictor import Focus
+from gbid.identify.problem.asked_extra import Constraints, ExtraCost, with_extra_terms
+from gbid.identify.problem.assembly import Assembly, Scope, assemble, full_start
+from gbid.identify.problem.either_kind import any_noise_names
+from gbid.identify.problem.initial_states import InitialState, InitialStates, initial_states
+from gbid.identify.problem.scaling import build_problem, unknown_bounds
+from gbid.identify.problem.undriven import check_inputs_suffice, without_inputs
+from gbid.identify.start.begin import Begin, begin_values
+from gbid.recording import Recording
+from gbid.structure import AnyStructure, Parameter, as_names, equations_of, known_names
+from gbid.threads import one_blas_thread
+
+
+class RequestOptions(TypedDict, total=False):
+    """Options of `gbid.fit` that settle its problem."""
+
+    inputs: str | Sequence[str] | None
+    outputs: str | Sequence[str] | None
+    focus: Focus
+    intersample: Hold | Sequence[Hold] | None
+    criterion: Criterion | Literal["auto"]
+    horizon: int
+    output_weights: Sequence[float] | None
+    start: Mapping[str, float] | Literal["data"] | None
+    fixed: Mapping[str, float] | None
+    bounds: Mapping[str, tuple[float, float]] | None
+    prior: Mapping[str, tuple[float, float]] | None
+    extra_cost: ExtraCost | None
+    constraints: Constraints | None
+    local: Mapping[str, Scope] | None
+    offsets: bool
+    trend: TrendName | Mapping[str, TrendName]
+    hum: float | Sequence[float]
+    initial_state: InitialState
+    left_out: Mapping[str, Sequence[tuple[int, int]]] | None
+    scaling: bool
+    engine: EngineName
+
+
+class Posed(NamedTuple):
+    """A problem posed for the solver.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        Parameters of the structure, with those fixed that are.
+    assembly : Assembly
+        Parts, links and shared parameters.
+    begin : dict of str to float
+        Start values by full name.
+    problem : Shooting
+        The problem.
+    unknowns, lower, upper : (n_unknowns,) array
+        Start and bounds, scaled.
+    """
+
+    parameters: tuple[Parameter, ...]
+    assembly: Assembly
+    begin: dict[str, float]
+    problem: Shooting
+    unknowns: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """A request for a fit.
+
+    Attributes
+    ----------
+    structure : Structure or NonlinearStructure
+        The structure, without inputs for a free decay.
+    parameters : tuple of Parameter
+        Its parameters, with the starts, fixed values and bounds of the caller.
+    data, undisturbed : FitData
+        Data, and the same with trends and hum subtracted.
+    inputs, outputs : tuple of str
+        Signals or channels, as the caller named them.
+    intersample : {"zoh", "foh"} or sequence of these
+        Hold of the inputs.
+    focus, criterion : str
+        Focus and criterion.
+    states : InitialStates
+        Initial states.
+    disturbances : Disturbances
+        Trends and hum.
+    first : Begin
+        Start values, and where they come from.
+    options : RequestOptions
+        Options as they were given.
+    """
+
+    structure: AnyStructure
+    parameters: tuple[Parameter, ...]
+    data: FitData
+    undisturbed: FitData
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    intersample: Hold | Sequence[Hold]
+    focus: Focus
+    criterion: Criterion
+    states: InitialStates
+    disturbances: Disturbances
+    first: Begin
+    options: RequestOptions
+
+    def posed(self, own: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> Posed:
+        """Return the problem at start values by the structure's names, in windows of this many samples.
+
+        `gain_held` fixes the parameters on which only the disturbance gain depends.
+        """
+        asked = self.options
+        used = _with_gain_held(self.structure, self.parameters) if gain_held else self.parameters
+        assembly = assemble(
+            self.structure,
+            used,
+            own,
+            self.data,
+            intersample=self.intersample,
+            focus=self.focus,
+            horizon=asked.get("horizon", 1),
+            disturbances=self.disturbances,
+            released=self.states.released,
+            local=asked.get("local") or {},
+            left_out=asked.get("left_out") or {},
+            window=window,
+            engine=asked.get("engine", "auto"),
+        )
+        per_record = disturbance_starts(self.disturbances, self.structure, own, self.data, self.intersample)
+        begin = full_start(assembly, own, per_record)
+        weights, prior = asked.get("output_weights"), asked.get("prior") or {}
+        scaling = asked.get("scaling", True)
+        problem, unknowns = build_problem(assembly, self.data, self.criterion, weights, begin, prior, scaling)
+        extra = asked.get("extra_cost"), asked.get("constraints")
+        problem = with_extra_terms(problem, assembly, self.data, self.states, used, unknowns, *extra)
+        return Posed(used, assembly, begin, problem, unknowns, *unknown_bounds(problem, assembly, self.states))
+
+
+def request(structure: AnyStructure, recordings: Recording | Sequence[Recording], options: RequestOptions) -> Request:
+    """Return a request for a fit, checked; see `gbid.fit`.
+
+    Raises
+    ------
+    UsageError, DataError
+        As for `gbid.fit`.
+    """
+    focus, horizon, start = options.get("focus", "prediction"), options.get("horizon", 1), options.get("start")
+    wanted, fixed = options.get("criterion", "auto"), options.get("fixed") or {}
+    _check(focus, wanted, horizon)
+    recordings = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    inputs, outputs, hold = options.get("inputs"), options.get("outputs"), options.get("intersample")
+    in_names = as_names(structure.inputs if inputs is None else inputs)
+    out_names = as_names(structure.outputs if outputs is None else outputs)
+    hold = structure.intersample if hold is None else hold
+    given = _given_starts(start)
+    from_data = isinstance(start, str)
+    parameters = _with_options(structure.parameters, given, fixed, options.get("bounds") or {}, from_data=from_data)
+    data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
+    stated, structure = structure, equations_of(structure)
+    check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
+    names = [record.name for record in data.records]
+    states = initial_states(structure, parameters, options.get("initial_state", "auto"), names)
+    if wanted == "auto":
+        wanted = "det" if len(data.output_names) > 1 and options.get("output_weights") is None else "trace"
+    trend, hum, offsets = options.get("trend", "none"), options.get("hum", ()), options.get("offsets", False)
+    disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
+    with one_blas_thread():
+        undisturbed = without_disturbances(disturbances, data)
+        first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
+    structure = structure if in_names else without_inputs(structure)
+    return Request(
+        structure,
+        parameters,
+        data,
+        undisturbed,
+        in_names,
+        out_names,
+        hold,
+        focus,
+        wanted,
+        states,
+        disturbances,
+        first,
+        options,
+    )
+
+
+def check_choices(choices: Mapping[str, tuple[str, tuple[str, ...]]]) -> None:
+    """Refuse values of options that are none of their words."""
+    for name, (value, allowed) in choices.items():
+        if value not in allowed:
+            *others, last = map(repr, allowed)
+            raise UsageError(f"{name} = {value!r}; choose {', '.join(others)} or {last}")
+
+
+def _check(focus: str, criterion: str, horizon: int) -> None:
+    check_choices(
+        {
+            "focus": (focus, ("prediction", "simulation")),
+            "criterion": (criterion, ("auto", "trace", "det")),
+        }
+    )
+    if horizon < 1:
+        raise UsageError(f"horizon = {horizon}; it must be at least 1")
+    if horizon > 1 and focus == "simulation":
+        raise UsageError("horizon is for focus = 'prediction'; a simulation has no horizon")
+
+
+def _with_gain_held(structure: AnyStructure, parameters: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+    """Return the parameters with those fixed on which only the disturbance gain depends."""
+    names = any_noise_names(structure)
+    return tuple(replace(q, fixed=True) if q.name in names and q.start is not None else q for q in parameters)
+
+
+def _with_options(
+    parameters: tuple[Parameter, ...],
+    start: Mapping[str, float],
+    fixed: Mapping[str, float],
+    bounds: Mapping[str, tuple[float, float]],
+    *,
+    from_data: bool,
+) -> tuple[Parameter, ...]:
+    """Return the parameters with the start values, fixed values and bounds of the caller."""
+    for what, given in (("start", start), ("fixed", fixed), ("bounds", bounds)):
+        known_names(parameters, given, what)
+    changed = []
+    for q in parameters:
+        if q.name in fixed:
+            changed.append(Parameter(q.name, float(fixed[q.name]), fixed=True, unit=q.unit))
+            continue
+        lower, upper = bounds.get(q.name, (q.lower, q.upper))
+        stated = start.get(q.name, q.start)
+        if from_data and stated is not None and not lower <= stated <= upper:
+            stated = None  # it would be one of many starts of a match, and lies outside of the bounds of the caller
+        changed.append(replace(q, start=stated, lower=lower, upper=upper))
+    return tuple(changed)
+
+
+def _given_starts(start: Mapping[str, float] | str | None) -> dict[str, float]:
+    """Return the start values of the caller; none when they are to be found in the data."""
+    if isinstance(start, str):
+        if start != "data":
+            raise UsageError(f"start = {start!r}; give values by name, or 'data' to find all of them in the recordings")
+        return {}
+    return dict(start or {})
