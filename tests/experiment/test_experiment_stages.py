@@ -256,7 +256,7 @@ OPTIONS = (
     "{structure: piezo_pair, horizon: 2, output_weights: [1.0, 2.0], prior: {p1_x: {value: 3000, std: 1.0e4}}, "
     "options: {disturbance_gain: none}, trend: {u_x: 2, u_y: linear}, hum: 50, robust: student, robust_threshold: 5, "
     "std: bootstrap, bootstrap_draws: 300, bootstrap_seed: 7, initial_state: zero, "
-    "engine: numpy, window: 400, "
+    "engine: numpy, window: 400, ipopt: {max_iter: 30, linear_solver: mumps}, "
     "left_out: {p5_n6000_prbs1: [[0.1, 0.1503], [0.5, 0.6]]}, bounds: {p2_x: [null, 2.0e4]}}"
 )
 
@@ -267,7 +267,8 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     names = ("p5_n6000_prbs1", "p5_n6000_prbs2")
     data = [Recording({"r": np.zeros((5000, 2))}, 2e-4, name=name) for name in names]
     found = fit_arguments(experiment, "piezos", data)
-    known = set(inspect.signature(fit).parameters) - {"structure", "recordings", "progress", "scaling"}
+    functions = {"progress", "extra_cost", "constraints"}  # of Python
+    known = set(inspect.signature(fit).parameters) - {"structure", "recordings", "scaling"} - functions
     assert set(found) == known
     assert {key: found[key] for key in ("horizon", "output_weights", "prior", "initial_state")} == {
         "horizon": 2,
@@ -281,6 +282,7 @@ def test_every_option_of_a_fit_reaches_it(tmp_path):
     assert (found["robust"], found["robust_threshold"]) == ("student", 5.0)
     assert (found["std"], found["bootstrap_draws"], found["bootstrap_seed"]) == ("bootstrap", 300, 7)
     assert (found["trend"], found["hum"]) == ({"u_x": 2, "u_y": "linear"}, (50.0,))
+    assert found["ipopt"] == {"max_iter": 30, "linear_solver": "mumps"}
     alone = fit_arguments(experiment, "piezos", data[1:])
     assert alone["left_out"] == {}
 

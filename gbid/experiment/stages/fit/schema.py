@@ -170,4 +170,5 @@ class FitSection(Section):
     left_out: dict[Text, Annotated[tuple[tuple[NotNegative, Positive], ...], Field(min_length=1)]] = Field(
         default_factory=dict
     )
+    ipopt: dict[Text, Number | Text] = Field(default_factory=dict)
     multi_start: MultiStartSection | None = None

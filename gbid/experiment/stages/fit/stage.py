@@ -36,7 +36,7 @@ _OWN_KINDS: tuple[ProblemKind, ...] = ("constant", "saturated", "too_few_samples
 _AS_THEY_ARE = (
     *("inputs", "outputs", "focus", "criterion", "horizon", "output_weights", "window", "stop", "max_iterations"),
     *("engine", "start", "fixed", "local", "offsets", "trend", "hum", "robust", "robust_threshold"),
-    *("std", "bootstrap_draws", "bootstrap_seed"),
+    *("std", "bootstrap_draws", "bootstrap_seed", "ipopt"),
 )
 
 
