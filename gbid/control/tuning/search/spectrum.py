@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg import eig
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.tuning.search.plane import FADE, brevity
@@ -20,6 +21,8 @@ LARGEST = 1e60
 """Entries of a matrix from which on it counts as not finite: powers of its eigenvalues would overflow."""
 _DEFECTIVE = 1e13
 """Entry of a left eigenvector, with right ones of length one, from which on a matrix counts as defective."""
+_LONGEST = 1e18
+"""Largest length of a left eigenvector of a defective matrix, with right ones of length one."""
 
 
 def damping_factors(rates: ComplexArray, sample_time: float | None = None) -> FloatArray:
@@ -90,6 +93,14 @@ def _inverses(right: ComplexArray) -> tuple[ComplexArray, BoolArray]:
     return np.asarray(left, complex), np.asarray(~(size < _DEFECTIVE))
 
 
+def _both_sides(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return eigenvalues, right and left eigenvectors of a defective matrix."""
+    values, left, right = eig(A, left=True, check_finite=False)
+    left = left.conj().T
+    products = (left * right.T).sum(axis=1, keepdims=True)
+    return values, right, left / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
+
+
 @dataclass(frozen=True)
 class Eigensystem:
     """Eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows, with ``W V = I``."""
@@ -102,7 +113,9 @@ class Eigensystem:
     def of(cls, A: FloatArray) -> Eigensystem:
         """Return the eigensystems of (m, n, n) matrices, NaN for those without finite eigenvalues.
 
-        A defective matrix is first changed by rounding errors, because it has no complete set of eigenvectors.
+        A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
+        and are divided by the smallest number instead of zero. Its eigenvalues stay as they are: a change of the matrix
+        by rounding errors would move k eigenvalues that meet by the k-th root of these.
         """
         usable = _usable(A)
         if not usable.all():
@@ -113,12 +126,9 @@ class Eigensystem:
             return cls._of_some(A, _one_by_one(A))
         left, defective = _inverses(right)
         if defective.any():
-            values, right = values.astype(complex), right.astype(complex)
-            n, B = A.shape[-1], A[defective]
-            size = np.maximum(np.linalg.norm(B, axis=(1, 2), keepdims=True), 1e-290)
-            nudge = 1e-13 * size * np.random.default_rng(0).normal(size=(n, n))
-            values[defective], right[defective] = np.linalg.eig(B + nudge)
-            left = _inverses(right)[0]
+            values, right, left = values.astype(complex), right.astype(complex), left.astype(complex)
+            for i in np.flatnonzero(defective):
+                values[i], right[i], left[i] = _both_sides(A[i])
         return cls(values.astype(complex), right.astype(complex), left.astype(complex))
 
     @classmethod
