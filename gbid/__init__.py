@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     )
     from gbid.control.assessment.assess import assess
     from gbid.control.tuning.tune import tune
+    from gbid.excite import Excitation, ExcitationLimits, KnownModel, design_excitation
     from gbid.identify import (
         DelayEstimate,
         FitProblem,
@@ -83,10 +84,13 @@ if TYPE_CHECKING:
 __all__ = [
     "ClosedLoop",
     "DelayEstimate",
+    "Excitation",
+    "ExcitationLimits",
     "FitProblem",
     "FitResult",
     "FitTable",
     "GainResult",
+    "KnownModel",
     "LPVFit",
     "LPVModel",
     "LinearModel",
@@ -123,6 +127,7 @@ __all__ = [
     "controller_structure",
     "cross_validate",
     "cross_validate_many",
+    "design_excitation",
     "estimate_delay",
     "fit",
     "fit_lpv",
@@ -165,6 +170,7 @@ _HOME = {
         *("load_controller", "save_controller", "sensitivities"),
         *("GainResult", "ParetoFront", "Uncertainty", "maximise_damping", "pareto", "tune"),
     ),
+    "excite": ("Excitation", "ExcitationLimits", "KnownModel", "design_excitation"),
     "identify": (
         *("FitProblem", "FitResult", "FitTable", "MultiStart", "Progress", "fit", "fit_multistart", "fit_problem"),
         *(

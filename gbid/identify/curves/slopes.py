@@ -27,13 +27,13 @@ def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> Mo
     Returns
     -------
     ModelSlopes
-        Derivatives; zero for the parameters of other recordings, offsets and the disturbance gain.
+        Derivatives; zero for the parameters of other recordings and for offsets.
     """
 
     def spread_out(slope: FloatArray) -> FloatArray:
         return _among_all(slope, len(theta), index)
 
-    A, B, C, D, _, B_delayed, late = predictor.matrices(theta[index])
+    A, B, C, D, K, B_delayed, late = predictor.matrices(theta[index])
     return ModelSlopes(
         A=spread_out(A.slope),
         B=spread_out(B.slope),
@@ -41,6 +41,7 @@ def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> Mo
         D=spread_out(D.slope),
         B_delayed=spread_out(B_delayed.slope),
         delay=spread_out(_delays(predictor, late)),
+        K=spread_out(K.slope),
     )
 
 

@@ -34,6 +34,8 @@ class ModelSlopes(Brief):
         Derivatives of the feedthrough.
     delay : (n_free, n_inputs) array
         Derivatives of the input delays [s].
+    K : (n_free, n, n_outputs) array or None
+        Derivatives of the disturbance gain; None for a nonlinear structure and in a file of an earlier version.
     """
 
     A: Annotated[FloatArray, _by_free("A", "states states")]
@@ -42,6 +44,7 @@ class ModelSlopes(Brief):
     D: Annotated[FloatArray, _by_free("D", "outputs inputs")]
     B_delayed: Annotated[FloatArray, _by_free("B_delayed", "states inputs")]
     delay: Annotated[FloatArray, _by_free("the delays", "inputs")]
+    K: Annotated[FloatArray | None, _by_free("K", "states outputs")] = None
 
 
 @dataclass(frozen=True, eq=False)

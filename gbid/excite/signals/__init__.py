@@ -1,0 +1,1 @@
+"""Signals: spectra by convex design, phases of small peaks, binary sequences."""
