@@ -2,9 +2,9 @@
 
 from gbid.excite.design import design_excitation
 from gbid.excite.excitation import Excitation, ExcitationLines, ExcitationSequence
+from gbid.excite.excitation_limits import ExcitationLimits, PossibleMachine
 from gbid.excite.information.expected import Expected, expected_covariance
 from gbid.excite.known_model import KnownModel, known_model
-from gbid.excite.limits import ExcitationLimits, PossibleMachine
 from gbid.excite.rig_limits import rig_limits
 
 __all__ = [

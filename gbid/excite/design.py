@@ -8,15 +8,15 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
+from gbid.excite.design_goal import Focused, Quantities, goal_of, quantities_of
 from gbid.excite.excitation import Excitation, ExcitationKind, ExcitationLines, ExcitationSequence
-from gbid.excite.goal import Focused, Quantities, goal_of, quantities_of
+from gbid.excite.excitation_limits import SAFE, ExcitationLimits
 from gbid.excite.information.expected import expected_covariance
-from gbid.excite.information.lines import LineModel
+from gbid.excite.information.line_model import LineModel
 from gbid.excite.known_model import KnownModel, known_model
-from gbid.excite.limits import SAFE, ExcitationLimits
 from gbid.excite.signals.multisine import design_multisine
 from gbid.excite.signals.prbs_choice import choose_prbs
-from gbid.excite.signals.use import use_of
+from gbid.excite.signals.use_of_limits import use_of
 from gbid.identify import FitResult
 from gbid.threads import one_blas_thread
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.excite.limits import ExcitationLimits, PossibleMachine
+from gbid.excite.excitation_limits import ExcitationLimits, PossibleMachine
 from gbid.rig import Machine, RotorBearingTruth, Scatter, SensorChain, scatter_random, scattered, unbalance_orbit
 from gbid.rig.machine.sensors import TURN, runout
 

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
-from gbid.excite.goal import Goal
-from gbid.excite.limits import LimitedSignal
+from gbid.excite.design_goal import DesignGoal
+from gbid.excite.excitation_limits import LimitedSignal
 
 _OF_PHASES = (4.0, 10.0, 24.0)
 _OF_BOTH = (24.0, 60.0, 150.0)
@@ -56,7 +56,7 @@ class Waves:
 
 
 def with_small_peaks(
-    goal: Goal,
+    goal: DesignGoal,
     sensitivity: ComplexArray,
     limited: Sequence[LimitedSignal],
     bins: IntArray,
@@ -71,7 +71,7 @@ def with_small_peaks(
 
     Parameters
     ----------
-    goal : Goal
+    goal : DesignGoal
         The criterion.
     sensitivity : (n_lines, n_free, n_outputs, n_inputs) array
         Sensitivities at the lines.
@@ -99,7 +99,7 @@ def with_small_peaks(
 
 
 def _descended(
-    goal: Goal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray, earlier: FloatArray
+    goal: DesignGoal, waves: Waves, psi: ComplexArray, spectrum: ComplexArray, angle: FloatArray, earlier: FloatArray
 ) -> tuple[float, ComplexArray]:
     """Return criterion and amplitudes of the descent from given phases."""
     start = spectrum

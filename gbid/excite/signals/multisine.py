@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
-from gbid.excite.goal import Goal
-from gbid.excite.information.lines import LineModel
-from gbid.excite.limits import ExcitationLimits, LimitedSignal, limited_signals
+from gbid.excite.design_goal import DesignGoal
+from gbid.excite.excitation_limits import ExcitationLimits, LimitedSignal, limited_signals
+from gbid.excite.information.line_model import LineModel
 from gbid.excite.signals.crest import with_small_peaks
 from gbid.excite.signals.spectrum_design import optimal_spectrum
-from gbid.excite.signals.use import disc_in_machines, use_of
+from gbid.excite.signals.use_of_limits import disc_in_machines, use_of
 
 PERIOD_S = 1.0
 """Longest period of a multisine [s]: lines are a multiple of its inverse apart."""
@@ -55,7 +55,7 @@ class Multisine(NamedTuple):
 
 
 def design_multisine(
-    goal: Goal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
+    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
 ) -> Multisine:
     """Return the multisine with the best criterion within limits.
 
@@ -66,7 +66,7 @@ def design_multisine(
 
     Parameters
     ----------
-    goal : Goal
+    goal : DesignGoal
         The criterion.
     lines : LineModel
         The model.

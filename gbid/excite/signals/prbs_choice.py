@@ -10,11 +10,11 @@ from scipy.signal import max_len_seq
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
 from gbid.errors import UsageError
+from gbid.excite.design_goal import DesignGoal
 from gbid.excite.excitation import ExcitationSequence
-from gbid.excite.goal import Goal
-from gbid.excite.information.lines import LineModel
-from gbid.excite.limits import ExcitationLimits
-from gbid.excite.signals.use import use_of
+from gbid.excite.excitation_limits import ExcitationLimits
+from gbid.excite.information.line_model import LineModel
+from gbid.excite.signals.use_of_limits import use_of
 
 _REGISTERS = range(4, 15)
 _HOLDS = 10  # tried between a sample and a half period of the slowest mode
@@ -38,13 +38,13 @@ class ChosenSequence(NamedTuple):
 
 
 def choose_prbs(
-    goal: Goal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
+    goal: DesignGoal, lines: LineModel, limits: ExcitationLimits, n_samples: int, earlier: FloatArray
 ) -> ChosenSequence:
     """Return the sequence of maximal length with the best criterion within limits.
 
     Parameters
     ----------
-    goal : Goal
+    goal : DesignGoal
         The criterion.
     lines : LineModel
         The model.

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.excite.goal import Goal
+from gbid.excite.design_goal import DesignGoal
 
 _NORMS = (15.0, 100.0)  # exponents of the norm of the mean squares, one after the other
 _OPTIONS = {"maxiter": 400, "maxcor": 30}
@@ -50,13 +50,13 @@ class Spectrum(NamedTuple):
 
 
 def optimal_spectrum(
-    goal: Goal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int, earlier: FloatArray
+    goal: DesignGoal, sensitivity: ComplexArray, costs: ComplexArray, n_samples: int, earlier: FloatArray
 ) -> Spectrum:
     """Return the spectrum with the best criterion within limits of the mean squares.
 
     Parameters
     ----------
-    goal : Goal
+    goal : DesignGoal
         The criterion.
     sensitivity : (n_lines, n_free, n_outputs, n_inputs) array
         Sensitivities of the predictions, for errors of unit covariance.
@@ -126,7 +126,7 @@ def _sensitivities(psi: ComplexArray, P: FloatArray) -> ComplexArray:
 
 
 def _gap(
-    goal: Goal,
+    goal: DesignGoal,
     psi: ComplexArray,
     root: ComplexArray,
     costs: ComplexArray,

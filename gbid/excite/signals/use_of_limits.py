@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
-from gbid.excite.information.lines import LineModel
-from gbid.excite.limits import SAFE, ExcitationLimits
+from gbid.excite.excitation_limits import SAFE, ExcitationLimits
+from gbid.excite.information.line_model import LineModel
 
 _SEEN = 1e-4  # lines of the disc below this part of its largest one do not count in other machines
 IN_MACHINES = "clearance in all machines"

@@ -1,4 +1,4 @@
-"""Goal of a design: the quantities that count, their derivatives by the parameters, and the criterion."""
+"""DesignGoal of a design: the quantities that count, their derivatives by the parameters, and the criterion."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.excite.information.lines import LineModel
+from gbid.excite.information.line_model import LineModel
 from gbid.identify.uncertainty.propagation import mode_slopes
 
 Focused = str | Sequence[str] | Mapping[str, float] | None
@@ -64,7 +64,7 @@ class Quantities:
 
 
 @dataclass(frozen=True, eq=False)
-class Goal:
+class DesignGoal:
     """Criterion of a design: of the quantities ``J p`` that count, log det (D) or log trace (A) of their covariance.
 
     All parameters together count as well, with a weight of one hundredth. So a design for few quantities leaves no
@@ -135,7 +135,7 @@ def quantities_of(lines: LineModel) -> Quantities:
     return Quantities((*lines.free, *names), np.concatenate([lines.theta, values]), stacked)
 
 
-def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> Goal:
+def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> DesignGoal:
     """Return the goal of a design.
 
     Parameters
@@ -162,7 +162,7 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> Goal:
             picked |= dict.fromkeys(quantities.matching((pattern,), "focus"), float(one))
         scale = np.array(list(picked.values()))
         rows = list(picked)
-        return Goal(tuple(quantities.names[i] for i in rows), quantities.slopes[rows] / scale[:, None], "A")
+        return DesignGoal(tuple(quantities.names[i] for i in rows), quantities.slopes[rows] / scale[:, None], "A")
     if focus is None:
         rows = [i for i in range(len(lines.free)) if i not in lines.predictor.noise]
     else:
@@ -175,7 +175,7 @@ def goal_of(lines: LineModel, quantities: Quantities, focus: Focused) -> Goal:
             "focus: these quantities depend on each other, as modes on the parameters that make them; name fewer, or "
             "give the standard deviation that counts as one for each"
         )
-    return Goal(tuple(quantities.names[i] for i in rows), slopes, "D")
+    return DesignGoal(tuple(quantities.names[i] for i in rows), slopes, "D")
 
 
 def _inverse(information: FloatArray) -> FloatArray | None:
