@@ -32,6 +32,7 @@ class SignalKind(NamedTuple):
 
 SIGNALS: dict[str, SignalKind] = {
     "r": SignalKind("m", "piezo position reference", ("x", "y")),
+    "w": SignalKind("m", "excitation injected into the loop", ("x", "y")),
     "u": SignalKind("m", "difference of piezo positions", ("x", "y")),
     "p": SignalKind("m", "lateral disc position", ("x", "y")),
     "phi": SignalKind("rad", "shaft angle", ("phi",)),

@@ -27,11 +27,17 @@ def identify_runout(
     harmonics: int = 10,
     bins: int = 100,
     still: float = 0.5e-6,
+    signal: str = "p",
+    in_loop: bool = False,
 ) -> RunoutMap:
     """Return the map of the disc position over the shaft angle, from recordings with piezos at rest.
 
     All recordings share one map. Each has its own mean, and the map keeps the average of these means. When the shaft
     stands still (0 rpm), the position cannot be related to the angle, and the map is the mean alone.
+
+    A controller that measures the run-out answers to it as to motion. References, piezos and disc then follow the
+    shaft, each with a map of its own: make one of each signal from recordings with the controller and without
+    excitation (`in_loop`), and give all of them to `gbid.prefilter`.
 
     Parameters
     ----------
@@ -46,6 +52,10 @@ def identify_runout(
         Number of parts of a turn.
     still : float
         Largest movement of r and u that counts as rest [m], peak to peak and without single-sample spikes.
+    signal : str
+        Signal of the map.
+    in_loop : bool
+        Whether a controller acts, so that the piezos move. Then w, the injected signal, must be at rest instead.
 
     Returns
     -------
@@ -70,10 +80,10 @@ def identify_runout(
     first = group[0]
     notes: list[str] = []
     for rec in group:
-        if "p" not in rec.signals:
-            raise DataError(f"recording {rec.name!r} has no signal 'p'; the run-out map needs the disc position")
-        _check_still(rec, still, notes)
-        if rec.channels["p"] != first.channels["p"] or differing_condition(rec.conditions, first.conditions):
+        if signal not in rec.signals:
+            raise DataError(f"recording {rec.name!r} has no signal {signal!r}, of which the map is to be made")
+        _check_still(rec, still, notes, ("w",) if in_loop else ("r", "u"))
+        if rec.channels[signal] != first.channels[signal] or differing_condition(rec.conditions, first.conditions):
             raise DataError(
                 f"recordings {first.name!r} and {rec.name!r} differ in channels or conditions; "
                 "make one map for each operating point"
@@ -83,7 +93,7 @@ def identify_runout(
     if len(turning) > 1:
         raise DataError(f"of {', '.join(r.name for r in group)} some turn and some stand still; map them apart")
 
-    p = [rec.signal("p") for rec in group]
+    p = [rec.signal(signal) for rec in group]
     n_channels = p[0].shape[1]
     orders, angles = np.zeros(0), np.zeros(0)
     cosine = sine = table = np.zeros((0, n_channels))
@@ -106,7 +116,7 @@ def identify_runout(
         sine=sine,
         angles=angles,
         table=table,
-        channels=first.channels["p"],
+        channels=first.channels[signal],
         conditions=dict(first.conditions),
         sources=tuple(rec.name for rec in group),
         turns=sum(motion.turns for motion in motions),
@@ -121,8 +131,8 @@ def identify_runout(
     return replace(made, rms_after=_rms(residuals))
 
 
-def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
-    present = [name for name in ("r", "u") if name in rec.signals]
+def _check_still(rec: Recording, still: float, notes: list[str], signals: tuple[str, ...]) -> None:
+    present = [name for name in signals if name in rec.signals]
     for name in present:
         values = rec.signal(name)
         travel = np.ptp(running_median(values, 3 if len(values) >= 3 else 1), axis=0)
@@ -130,10 +140,12 @@ def _check_still(rec: Recording, still: float, notes: list[str]) -> None:
             channel = rec.channels[name][int(travel.argmax())]
             raise DataError(
                 f"recording {rec.name!r}: {name}_{channel} moves by {travel.max() * 1e6:.2f} um; "
-                f"a run-out map needs piezos at rest (at most {still * 1e6:.2f} um)"
+                f"a run-out map needs piezos at rest (at most {still * 1e6:.2f} um); for a recording in closed loop, "
+                "see in_loop"
             )
     if not present:
-        text = f"{rec.name}: neither r nor u is recorded, so it was not checked that the piezos were at rest"
+        what = "w is not recorded" if signals == ("w",) else "neither r nor u is recorded"
+        text = f"{rec.name}: {what}, so it was not checked that the piezos were at rest"
         notes.append(DataNote.REST_NOT_CHECKED(text))
 
 

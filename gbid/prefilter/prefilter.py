@@ -76,6 +76,7 @@ def prefilter(
     runout_map: RunoutMap | None = None,
     *,
     position: str = "p",
+    answers: Mapping[str, RunoutMap] | None = None,
     spikes: bool = True,
     median: int = 1,
     remove_mean: bool = True,
@@ -101,6 +102,9 @@ def prefilter(
         Map from `identify_runout` at the same operating point. Without a map no run-out is removed.
     position : str
         Name of the measured position, ``"p"`` on the published rig.
+    answers : dict of str to RunoutMap, optional
+        Maps of other signals, such as r and u, that follow the shaft because a controller answers to run-out as to
+        motion; see ``identify_runout(..., in_loop=True)``.
     spikes : bool
         Whether spikes of the position are replaced. They are reported in any case. Switch it off for a signal in which
         single samples may differ from their neighbours, such as the acceleration during an impact.
@@ -141,6 +145,11 @@ def prefilter(
         variance = before[position].var(axis=0)
         share = np.where(variance > 0, 1 - after[position].var(axis=0) / np.where(variance > 0, variance, 1), 0.0)
         steps.append(f"run-out map ({runout_map.method}) of {', '.join(runout_map.sources)} subtracted from {position}")
+    for name, own in (answers or {}).items():
+        if name not in after or name == position:
+            raise DataError(f"recording {rec.name!r}: answers names {name!r}; there are {', '.join(before)}")
+        after[name] = _without_runout(rec, name, own, any_condition, notes)
+        steps.append(f"answer of the loop to run-out ({own.method}) of {', '.join(own.sources)} subtracted from {name}")
     despiked = remove_spikes(after[position], measured=before[position])
     counts = tuple(len(samples) for samples in despiked.samples)
     if spikes:

@@ -100,14 +100,15 @@ def record(
     Recording
         Signals r (as applied: excitation plus controller, limited to the travel), u (piezo position, offset and
         noise), p (disc position, run-out, offset and noise) [m], phi (encoder, within [0, 2 pi)) [rad]; in a
-        `Hammer` test f (measured force, x and y) [N]; with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
+        `Hammer` test f (measured force, x and y) [N]; with a controller w (excitation that is added to its output) [m];
+        with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
         Provenance: ``rig`` (all parameters), ``truth`` (the fourteen key parameters as drawn), ``simulation``,
         and where they occurred ``touch_down`` and ``saturated`` (time intervals).
 
     Raises
     ------
     UsageError
-        When an argument is wrong, or when the rotor is unstable.
+        When an argument is wrong, or when the rotor is unstable and there is no controller.
     DataError
         When the disc reaches the clearance of the bearing and `touch_down` is ``"refuse"``.
     """
@@ -119,7 +120,8 @@ def record(
     machine, thrown = _this_time(machine, scatter, seed, name, conditions)
     if faults is not None and faults.rub_clearance is not None:
         machine, touch_down = replace(machine, clearance=faults.rub_clearance), "flag"
-    machine.rotor_bearing.check_stable()
+    if controller is None:
+        machine.rotor_bearing.check_stable()
     if controller is not None and abs(controller.sample_time - sample_time) > 1e-9 * sample_time:
         raise UsageError(f"controller: sample_time = {controller.sample_time} s, the rig samples at {sample_time} s")
     n_samples = whole_samples("duration_s", experiment.duration_s, sample_time)
@@ -193,6 +195,8 @@ def record(
         "p": motion.seen[logged],
         "phi": shown[logged, None],
     }
+    if controller is not None:
+        signals["w"] = run.reference[logged]
     if isinstance(experiment, Hammer):
         force = experiment.force(time[logged])
         signals["f"] = force + sensors.noise_f * noise_f.standard_normal((n_samples, 2))

@@ -113,7 +113,8 @@ class RotorBearingTruth(Brief):
         worst = max(np.linalg.eigvals(matrix), key=lambda s: float(s.real))
         if worst.real >= 0:
             raise UsageError(
-                f"rotor bearing: unstable, eigenvalue {worst:.4g} 1/s; the rig simulates stable points only"
+                f"rotor bearing: unstable, eigenvalue {worst:.4g} 1/s; without a controller "
+                "the rig simulates stable points only"
             )
 
 
