@@ -155,7 +155,7 @@ def compare_runout(
     if not usable:
         raise DataError(f"no run-out map can be made: {trials[0].note}")
     best = _simplest_of_the_best(usable)
-    size = {best.method: best.size}
+    size: dict[str, Any] = {best.method: best.size}
     return RunoutComparison(
         tuple(replace(trial, chosen=trial is best) for trial in trials),
         identify_runout(group, method=best.method, still=still, **size),
@@ -179,10 +179,11 @@ def _tried(method: str, size: int, parts: list[Recording], still: float) -> Runo
     """Return the trial of one method and size, with each part as validation part once."""
     n_channels = parts[0].signal("p").shape[1]
     rms = []
+    sized: dict[str, Any] = {method: size}
     for i, held_out in enumerate(parts):
         others = [part for j, part in enumerate(parts) if j != i]
         try:
-            made = identify_runout(others, method=method, still=still, **{method: size})
+            made = identify_runout(others, method=method, still=still, **sized)
         except DataError as error:
             no_folds = np.full((0, n_channels), np.nan)
             return RunoutTrial(method, size, np.full(n_channels, np.nan), no_folds, note=str(error))
