@@ -179,7 +179,7 @@ def test_ctrl_c_in_a_terminal(tmp_path, line):
 
 
 @PROC
-@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("sent", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow), signal.SIGHUP])
 def test_workers_end_within_two_seconds_of_their_runner(tmp_path, sent):
     path = write_springs(tmp_path, 4, fit="focus: simulation, engine: numpy, multi_start: {starts: 3000}")  # minutes
 

@@ -394,10 +394,10 @@ def test_own_recordings_template_runs_as_it_is(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("line", "changes"),
     [
-        ("rig p5_n6000_still1: made", [("duration_s: 1.0", "duration_s: 20.0")]),
+        ("rig p5_n6000_still1: made", [("duration_s: 1.0", "duration_s: 8.0")]),
         (  # the fit follows: on a long record and with the slow engine, so that it is still under way
             "prefilter map p5_n6000: made",
-            [("duration_s: 1.0", "duration_s: 40.0"), ("stop: paper", "engine: numpy")],
+            [("duration_s: 1.0", "duration_s: 15.0"), ("stop: paper", "engine: numpy")],
         ),
     ],
 )

@@ -139,7 +139,7 @@ def test_an_interruption_that_python_ignores_comes_again(capsys):
     assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_that_casadi_forgets_comes_again(number, capsys):
     class Sent:
         @property

@@ -63,7 +63,7 @@ def save_beside(folder) -> None:
 def test_further_loops_run_sampled_on_the_rig(tmp_path, capsys) -> None:
     save_beside(tmp_path)
     path = write_quick(tmp_path, ("  controller: paper\n", BESIDE), text=YAML)
-    assert command("impact", path, "--json") == 0
+    assert command("impact", path, "--json", "--engine", "serial") == 0
     document = json.loads(capsys.readouterr().out)
     studies = {d["loop"]: d for d in document["impacts"]}
     assert list(studies) == ["open", "closed", "soft", "follows"]

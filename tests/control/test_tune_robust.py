@@ -81,7 +81,7 @@ def test_price_falls_with_the_probability() -> None:
 
 
 def test_sampled_designs_are_tried_as_sampled_loops() -> None:
-    options = {**OPTIONS, "draws": 30, "fresh": 100}
+    options = {**OPTIONS, "draws": 12, "fresh": 30}
     robust = tune_robust(MODEL, "P", goals=GOALS, sample_time=2e-4, **options)
     assert robust.result.sample_time == 2e-4
     assert robust.fresh.value.min() > 0

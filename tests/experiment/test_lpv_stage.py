@@ -41,7 +41,7 @@ def campaign(tmp_path_factory):
     path = folder / "experiment.yaml"
     path.write_text(CAMPAIGN)
     for verb in ("rig", "fit"):
-        result = call(verb, path, "--results", folder / "out")
+        result = call(verb, path, "--results", folder / "out", "--engine", "serial")
         assert result.exit_code == 0, result.output
     return path, folder / "out"
 

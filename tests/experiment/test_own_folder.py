@@ -102,7 +102,7 @@ def test_a_folder_runs_as_a_campaign(ending, measured, tmp_path, capsys):
         ("p6_n0_still1", "stationary"),
     ]
     assert rows[0]["conditions"] == {"pressure_bar": 5.0, "speed_rpm": 6000.0}
-    assert gbid("fit", path, "--json") == 0
+    assert gbid("fit", path, "--json", "--engine", "serial") == 0
     fits = json.loads(capsys.readouterr().out)["fits"]
     assert len(fits) == 8
     known = machine(6.0, 0.0).rotor_bearing
@@ -112,7 +112,7 @@ def test_a_folder_runs_as_a_campaign(ending, measured, tmp_path, capsys):
     modes = [row["frequency_hz"] for row in fits[2]["modes"]]
     assert modes == pytest.approx(sorted(frequencies_of(known)), rel=0.03)
 
-    assert gbid("crossval", path, "--json") == 0
+    assert gbid("crossval", path, "--json", "--engine", "serial") == 0
     told = json.loads(capsys.readouterr().out)
     pairs = {(row["model"], row["recording"]) for row in told["crossval"] if row["fit"] == "bearing"}
     assert pairs == {

@@ -304,7 +304,7 @@ def test_design_on_the_surfaces_of_the_experiment_and_their_uncertainty(tmp_path
     assert early.exit_code == 3
     assert "no surfaces 'bearing' made from the present fits" in early.output
     for verb in ("rig", "fit", "lpv"):
-        result = call(verb, path)
+        result = call(verb, path, "--engine", "serial")
         assert result.exit_code == 0, result.output
     result = call("tune", path, "--json")
     assert result.exit_code == 0, result.output
