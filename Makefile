@@ -82,7 +82,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
-	$(BIN)/python -m benchmarks.kills --output kills.json
+	$(BIN)/python -m benchmarks.kills --output docs/kills.json
 
 docs: $(VENV)/.installed-docs  ## the pages, code blocks executed, warnings as errors
 	$(BIN)/sphinx-build -W --keep-going -b html docs docs/_build/html

@@ -64,7 +64,7 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
         part.replace(path)  # a power cut may undo this: then the old file is there, and the work is done again
     except OSError as error:
         raise _cannot_write(path, error) from None
-    except RuntimeError as error:  # HDF5 may find the disk full only when it closes the file
+    except Exception as error:  # HDF5 may find the disk full only when it closes the file, matplotlib fails after it
         if not is_no_space(error):
             raise
         raise _cannot_write(path, error) from None
@@ -94,7 +94,17 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
 
 def is_no_space(error: BaseException) -> bool:
     """Whether an error says that the disk or the quota is full, or that files of this process may not be so large."""
-    return getattr(error, "errno", None) in _FULL or bool(_IN_WORDS.search(str(error)))
+    return _no_space(error) is not None
+
+
+def _no_space(error: BaseException) -> BaseException | None:
+    """Return what says so: the error, or the one that it came from, as where a library fails again on its way out."""
+    found: BaseException | None = error
+    while found is not None:
+        if getattr(found, "errno", None) in _FULL or _IN_WORDS.search(str(found)):
+            return found
+        found = found.__cause__ or found.__context__
+    return None
 
 
 def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:
@@ -173,8 +183,8 @@ def _host() -> str:
 
 
 def _cannot_write(path: Path, error: Exception) -> DataError:
-    if is_no_space(error):
-        if getattr(error, "errno", None) == errno.EFBIG:
+    if full := _no_space(error):
+        if getattr(full, "errno", None) == errno.EFBIG:
             text = "the file would be larger than this process may write (ulimit -f)"
             return NoSpaceError(f"{path}: cannot be written: {text}; raise the limit and run again")
         return NoSpaceError(

@@ -1,6 +1,7 @@
 """Manners of the command line: -h, --quiet, -v, --dry-run, next steps, NO_COLOR, `gbid clean` and `gbid doctor`."""
 
 import contextlib
+import errno
 import io
 import json
 import os
@@ -16,9 +17,11 @@ import typer
 from experiment_files import gbid, write_spring
 from places import ROOT
 
+from gbid.atomic import atomic_path
 from gbid.cli.guard import guarded
 from gbid.cli.live import LiveLine
 from gbid.cli.main import app
+from gbid.errors import NoSpaceError
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +120,20 @@ def test_a_limit_on_the_size_of_files_is_told_and_not_remembered(tmp_path, capsy
     assert "larger than this process may write (ulimit -f); raise the limit" in capsys.readouterr().err
     assert [p.name for p in (tmp_path / "results").rglob("*") if p.is_file()] == []
     assert gbid("import", path) == 0
+
+
+@pytest.mark.parametrize(("number", "words"), [(errno.EFBIG, "ulimit -f"), (errno.ENOSPC, "No space left in")])
+def test_a_full_disk_behind_the_failure_of_a_library_is_one(tmp_path, number, words):
+    def write():
+        with atomic_path(tmp_path / "figure.pdf", overwrite=False):
+            try:
+                raise OSError(number, os.strerror(number))
+            finally:
+                None.pos  # noqa: B018  # as a library that ends what was not begun
+
+    with pytest.raises(NoSpaceError, match=words):
+        write()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_interruption_that_python_ignores_comes_again(capsys):
