@@ -1,8 +1,11 @@
 """The paper's figures and tables from results, and its figures beside ours."""
 
 import csv
+import errno
 import json
 import math
+import os
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -320,6 +323,19 @@ def test_verb_writes_what_it_can_and_says_what_it_left_out(small, monkeypatch):
             assert (out / "figures" / f"{name}.{kind}").read_bytes().startswith(magic)
     again = json.loads(call("figures", path, "--results", out, "--json").stdout)
     assert {o["state"] for o in again["outcomes"]} == {"kept"}
+
+
+def test_a_full_disk_is_not_a_figure_left_out(small, tmp_path, monkeypatch):
+    path, out = small
+    shutil.copytree(out, tmp_path / "out", ignore=shutil.ignore_patterns("figures"))
+
+    def full(_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr("gbid.atomic.os.fsync", full)
+    result = call("figures", path, "--results", tmp_path / "out")
+    assert result.exit_code == 3
+    assert "No space left in" in result.output.splitlines()[-1]
 
 
 def test_tables_hold_what_the_model_file_says(small):

@@ -12,7 +12,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from gbid.errors import DataError, UsageError
+from gbid.errors import DataError, NoSpaceError, UsageError
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
@@ -142,6 +142,8 @@ def _collect(name: str, make: Callable[[], list[Outcome]], outcomes: list[Outcom
     """Make one item; when its results do not allow it, note the reason."""
     try:
         made = make()
+    except NoSpaceError:
+        raise
     except DataError as error:
         left_out.append(LeftOut(name, str(error)))
         return
