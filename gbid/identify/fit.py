@@ -18,7 +18,7 @@ from gbid.identify.kernel.engine import EngineName
 from gbid.identify.nlp.shooting import Criterion, Shooting
 from gbid.identify.nlp.solver import IpoptOptions, Solution, solve
 from gbid.identify.nlp.watch import Progress, Stop
-from gbid.identify.nonlinear.integration import integrated_finely, integration_shift, with_integration_error
+from gbid.identify.nonlinear.integration import integrated_finely, with_integration_error
 from gbid.identify.options import FitOptions
 from gbid.identify.other_gains import lowest_of_several, strongly_coloured
 from gbid.identify.outcome import outcome, overflow_notes
@@ -226,8 +226,7 @@ def fit(
             return solve(posed, start, *box, stop=stop, max_iterations=limit, progress=progress, ipopt=ipopt)
 
         solution, more = lowest_of_several(problem, run(np.clip(posed.unknowns, *box)), box, run)
-        problem, solution = integrated_finely(problem, solution, box, run)
-        shift = integration_shift(problem, solution.unknowns, box)
+        problem, solution, shift = integrated_finely(problem, solution, box, run)
         light = None
         if loss is not None and solution.status.success:
             light, solution = reweighted_solution(problem, solution, loss, run)

@@ -27,7 +27,7 @@ Box = tuple[FloatArray, FloatArray]
 
 def integrated_finely(
     problem: Shooting, solution: Solution, box: Box, run: Callable[[FloatArray, Shooting], Solution]
-) -> tuple[Shooting, Solution]:
+) -> tuple[Shooting, Solution, FloatArray | None]:
     """Return problem and solution with as many steps of the integrator as the estimates need.
 
     Parameters
@@ -47,29 +47,27 @@ def integrated_finely(
         The problem with more steps, where those of a structure with ``steps="auto"`` were not enough.
     Solution
         Its solution, with the iterations of all.
+    (n_theta,) array or None
+        How far the estimates move when the step of the integrator is halved; None if linear.
     """
+    own = problem.parts[0].predictor
+    if not isinstance(own, NonlinearPredictor):
+        return problem, solution, None
+    steps, moved = own.steps, _moved(problem, solution.unknowns, box)
     for _ in range(_ROUNDS):
-        own = problem.parts[0].predictor
-        if not (isinstance(own, NonlinearPredictor) and own.adapts and solution.status.success):
+        if not (own.adapts and solution.status.success):
             break
-        moved = _moved(problem, solution.unknowns, box)
         off = in_standard_deviations(problem, problem.at(solution.unknowns), moved)
         if off <= _TOLERATED:
             break
-        steps = own.steps * 4 if not np.isfinite(off) else ceil(own.steps * min(8.0, (off / _AIM) ** (1 / _ORDER)))
+        steps = steps * 4 if not np.isfinite(off) else ceil(steps * min(8.0, (off / _AIM) ** (1 / _ORDER)))
         if steps > MOST_STEPS:
             break
         problem = with_steps(problem, steps)
         found = run(solution.unknowns, problem)
         solution = replace(found, iterations=solution.iterations + found.iterations)
-    return problem, solution
-
-
-def integration_shift(problem: Shooting, unknowns: FloatArray, box: Box) -> FloatArray | None:
-    """Return how far the estimates move when the step of the integrator is halved, (n_theta,); None if linear."""
-    if not isinstance(problem.parts[0].predictor, NonlinearPredictor):
-        return None
-    return _moved(problem, unknowns, box)[: problem.n_theta] * problem.theta_scale
+        moved = _moved(problem, solution.unknowns, box)
+    return problem, solution, moved[: problem.n_theta] * problem.theta_scale
 
 
 def with_integration_error(result: FitResult, shift: FloatArray | None) -> FitResult:

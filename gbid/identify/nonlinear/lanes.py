@@ -138,6 +138,7 @@ class LanesRunner:
         getattr(self._library, f"gbid_{name}")(*numbers, *(ctypes.c_void_p(array.ctypes.data) for array in given))
 
 
+@lru_cache(maxsize=32)
 def source_of(functions: SampleFunctions) -> str:
     """Return the C source of the runner of a predictor."""
     n_y, n_c = functions.output_slopes.size1_out(2), functions.output_slopes.size2_in(1)

@@ -13,6 +13,7 @@ feeds back. `theta` are the free parameters; `known` are all others and, last, t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import NamedTuple
 
 import casadi as ca
@@ -98,7 +99,31 @@ class SampleFunctions(NamedTuple):
 
 
 def sample_functions(own: SampleEquations) -> SampleFunctions:
-    """Return the functions of a sample."""
+    """Return the functions of a sample; equal equations, as in a campaign, have the same ones."""
+    return _functions(_ByContent(own))
+
+
+class _ByContent:
+    """Equations that are equal when their content is, since symbols of CasADi are equal only to themselves."""
+
+    def __init__(self, own: SampleEquations) -> None:
+        symbols, rest = [own.x, own.theta, own.known, own.u], own._asdict()
+        values = [own.dx, own.y, own.K, own.x0, own.coefficients]
+        written = ca.Function("equations", symbols, values).serialize()
+        self.own = own
+        options = ("walking", "prompt", "lead", "disturbances", "impulse", "integrator")
+        self._content = (written, *(rest[name] for name in options))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _ByContent) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+
+@lru_cache(maxsize=32)
+def _functions(equations: _ByContent) -> SampleFunctions:
+    own = equations.own
     n, n_p, n_y = own.x.numel(), own.theta.numel(), own.y.numel()
     feeds_back = own.K.nnz() > 0
     widths = [len(own.prompt), len(own.lead), own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
