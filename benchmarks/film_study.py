@@ -1,7 +1,7 @@
 """What the film structure gains on the campaign of the paper: surfaces beside the rig's truth, and cross-validation.
 
-``python -m benchmarks.film_study`` runs rig, prefilter and fits of experiments/theisen2016.yaml with a second fit, whose
-film stiffens, and stores the figures in docs/film.json. Everything else of the two fits is the same.
+``python -m benchmarks.film_study`` runs rig, prefilter and fits of experiments/theisen2016.yaml with a second fit,
+whose film stiffens, and stores the figures in docs/film.json. Everything else of the two fits is the same.
 """
 
 from __future__ import annotations
@@ -118,9 +118,7 @@ def table(run: Mapping[str, Any]) -> str:
         for kind in kinds:
             row = run[kind]["surfaces"][key]
             share = f"{100 * row['within']:.0f} %"
-            cells.append(
-                f"{share if row['within'] >= 0.95 else f'**{share}**'}, {100 * row['relative_error']:.1f} %"
-            )
+            cells.append(f"{share if row['within'] >= 0.95 else f'**{share}**'}, {100 * row['relative_error']:.1f} %")
         lines.append(f"| {key} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
