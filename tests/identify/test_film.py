@@ -42,8 +42,23 @@ def test_slopes_away_from_the_centre_are_those_of_the_film():
     model = nonlinear_model(equations_of(STRUCTURE), TRUTH)
     q = np.array([3e-6, -5e-6])
     K = np.array([[TRUTH["k_xx"], TRUTH["k_xy"]], [TRUTH["k_yx"], TRUTH["k_yy"]]])
-    tangent = K * (1 + TRUTH["stiffening"] * q @ q) + 2 * TRUTH["stiffening"] * np.outer(K @ q, q)
-    np.testing.assert_allclose(model.linearise([*q, 0, 0, 0, 0], np.zeros(2)).A[2:4, :2], tangent, rtol=1e-12)
+
+    def tangent_at(p):
+        return K * (1 + TRUTH["stiffening"] * p @ p) + 2 * TRUTH["stiffening"] * np.outer(K @ p, p)
+
+    np.testing.assert_allclose(model.linearise([*q, 0, 0, 0, 0], np.zeros(2)).A[2:4, :2], tangent_at(q), rtol=1e-12)
+    spread = np.array([3e-6, 5e-6, 0.1, 0.1, 1e-9, 1e-9])
+    of_amplitude = model.linearise([*q, 0, 0, 0, 0], np.zeros(2), amplitude=spread)
+    nodes, weights = np.polynomial.hermite_e.hermegauss(3)  # means over normal distributions, exact here
+    mean = (
+        sum(
+            a * b * tangent_at(q + spread[:2] * (i, j))
+            for i, a in zip(nodes, weights, strict=True)
+            for j, b in zip(nodes, weights, strict=True)
+        )
+        / weights.sum() ** 2
+    )
+    np.testing.assert_allclose(of_amplitude.A[2:4, :2], mean, rtol=1e-9)
 
 
 def test_film_is_for_fits_of_the_bearing_with_filters_as_delays():

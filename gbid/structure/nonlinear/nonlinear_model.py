@@ -95,8 +95,14 @@ class NonlinearModel(Brief):
         """``casadi.Function`` of ``(x, u, p)`` with the derivatives of the states and the outputs."""
         return ca.Function.deserialize(self.equations)
 
-    def linearise(self, x0: npt.ArrayLike | None = None, u0: npt.ArrayLike | None = None) -> LinearModel:
-        """Return the linear model of small deviations from a working point.
+    def linearise(
+        self,
+        x0: npt.ArrayLike | None = None,
+        u0: npt.ArrayLike | None = None,
+        *,
+        amplitude: npt.ArrayLike | None = None,
+    ) -> LinearModel:
+        """Return the linear model of deviations from a working point: small ones, or those of an amplitude.
 
         Parameters
         ----------
@@ -104,6 +110,10 @@ class NonlinearModel(Brief):
             State; by default the mean state of the recordings of the fit.
         u0 : (n_inputs,) array, optional
             Inputs; by default their means.
+        amplitude : (n_states,) array, optional
+            Standard deviations of the states about `x0`. The derivatives are then their means over normal
+            distributions (statistical linearisation), exact for equations of third degree: what a linear fit finds in
+            motions of this amplitude.
 
         Returns
         -------
@@ -117,7 +127,12 @@ class NonlinearModel(Brief):
         """
         x = self._sized("x0", self.working_state if x0 is None else x0, self.n_states)
         u = self._sized("u0", self.working_input if u0 is None else u0, len(self.input_names))
-        A, B, C, D = (np.array(m, float) for m in self._slopes(x, u, self.parameters))
+        points = [x]
+        if amplitude is not None:  # cubature of third degree for the means
+            sides = np.diag(np.sqrt(self.n_states) * self._sized("amplitude", amplitude, self.n_states))
+            points = [x + side for side in (*sides, *-sides)]
+        slopes = [[np.array(m, float) for m in self._slopes(point, u, self.parameters)] for point in points]
+        A, B, C, D = (np.mean(each, axis=0) for each in zip(*slopes, strict=True))
         if not all(np.isfinite(m).all() for m in (A, B, C, D)):
             raise UsageError(f"model {self.name!r}: the derivatives at x0 = {x}, u0 = {u} are not finite; give another")
         return LinearModel(
