@@ -80,6 +80,13 @@ STAGE_VERBS = (
         ("gbid crossval rig1/experiment.yaml",),
     ),
     StageVerb(
+        "excite",
+        IDENTIFY,
+        "Design the excitation of the next recordings from the fits: a CSV file for the signal generator.",
+        ("excite",),
+        ("gbid excite rig1/experiment.yaml", "gbid excite rig1/experiment.yaml --json"),
+    ),
+    StageVerb(
         "tune",
         CONTROL,
         "Tune controllers: the gains with the most damping within limits, compared with the published ones.",

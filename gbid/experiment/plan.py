@@ -100,11 +100,13 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
         stairs = run[0] in ("staircase", "stack_staircase")
         for i in range(count):
             name = f"{label}_{word}{i + 1}"
-            yield PlannedRecording(name, run[0] == "prbs", conditions, own, location, None, stairs, run)
+            yield PlannedRecording(name, run[0] in ("prbs", "played"), conditions, own, location, None, stairs, run)
 
     yield from planned("still", rig.stationary.recordings, ("stationary",))
     prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
     yield from planned("prbs", prbs, ("prbs",))
+    if rig.played is not None and _there(rig.played.at, point):
+        yield from planned("played", rig.played.recordings, ("played",))
     if rig.staircase is not None and _there(rig.staircase.at, point):
         for axis in rig.staircase.axes:
             yield from planned(f"stairs_{axis}", rig.staircase.recordings, ("staircase", axis))

@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from gbid.experiment.fields import Name, Section, Text, given
 from gbid.experiment.stages.crossval.schema import CrossvalSection
+from gbid.experiment.stages.excite.schema import ExciteSection
 from gbid.experiment.stages.figures.schema import FigureSection
 from gbid.experiment.stages.fit.schema import FitSection
 from gbid.experiment.stages.impact.schema import ImpactsSection
@@ -33,6 +34,7 @@ class ExperimentFile(Section):
     prefilter: Annotated[PrefilterSection | None, BeforeValidator(given)] = None
     static: dict[Name, StaticSection] = Field(default_factory=dict)
     fits: dict[Name, FitSection] = Field(default_factory=dict)
+    excite: dict[Name, ExciteSection] = Field(default_factory=dict)
     crossval: dict[Text, CrossvalSection] = Field(default_factory=dict)
     nominal: Annotated[NominalSection | None, BeforeValidator(given)] = None
     lpv: Annotated[LpvSection | None, BeforeValidator(given)] = None

@@ -2,6 +2,7 @@
 
 from gbid.rig.effects import rig_effect, rig_effects
 from gbid.rig.excitation.hammer import Hammer, Impact
+from gbid.rig.excitation.played import Played
 from gbid.rig.excitation.prbs import Prbs, Stationary
 from gbid.rig.excitation.run_up import RunUp
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
@@ -33,6 +34,7 @@ __all__ = [
     "NonSynchronous",
     "PiezoStack",
     "PiezoStacks",
+    "Played",
     "Prbs",
     "ProcessNoise",
     "ProgramController",

@@ -12,6 +12,7 @@ from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
 from gbid.rig.excitation.hammer import Hammer
+from gbid.rig.excitation.played import Played
 from gbid.rig.excitation.prbs import Prbs, Stationary, whole_samples
 from gbid.rig.excitation.run_up import RunUp, Turning
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
@@ -28,7 +29,7 @@ from gbid.rig.stepping.response import MIN_OVERSAMPLING, driven_motion, unbalanc
 from gbid.rig.stepping.stepped_motion import RigEngine, SteppedMotion, stepped_motion
 from gbid.units import SIGNALS
 
-Experiment = Stationary | Prbs | Staircase | StackStaircase | Hammer | RunUp
+Experiment = Stationary | Prbs | Played | Staircase | StackStaircase | Hammer | RunUp
 Simulation = Literal["auto", "exact", "stepping"]
 WhenTouching = Literal["refuse", "flag"]
 
@@ -62,7 +63,7 @@ def record(
     ----------
     machine : Machine
         The rig, with its parameters at the operating point.
-    experiment : Stationary, Prbs, Staircase, StackStaircase, Hammer or RunUp
+    experiment : Stationary, Prbs, Played, Staircase, StackStaircase, Hammer or RunUp
         References, impacts, rotation and length of the recording.
     conditions : dict of str to float
         The operating point. ``speed_rpm`` is required and sets the speed of the shaft (except in a run-up). All

@@ -50,7 +50,7 @@ def rig_runs(experiment: Experiment) -> Found:
             try:
                 machine_at(experiment, planned, model).rotor_bearing.check_stable()
                 rig_experiment(experiment, planned)
-            except UsageError as error:
+            except GbidError as error:
                 if str(error) not in reported:
                     yield ("rig",), str(error)
                 reported.add(str(error))

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from gbid.errors import UsageError
+from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.stages.rig.model import true_parameters
@@ -24,6 +26,7 @@ from gbid.rig import (
     Machine,
     NonSynchronous,
     PiezoStacks,
+    Played,
     Prbs,
     ProcessNoise,
     RunUp,
@@ -35,6 +38,7 @@ from gbid.rig import (
     Unbalance,
     rig_effect,
 )
+from gbid.units import SIGNALS
 
 
 def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVModel) -> Machine:
@@ -76,6 +80,8 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
     match planned.run:
         case ("prbs",):
             return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
+        case ("played",) if rig.played is not None:
+            return _played(experiment, rig.played.file)
         case ("staircase", ("x" | "y") as axis) if rig.staircase is not None:
             stairs = rig.staircase
             return Staircase(axis, stairs.step_m, stairs.steps, stairs.hold_s)
@@ -88,6 +94,26 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
         case ("run_up",) if rig.run_up is not None:
             return RunUp(rig.run_up.from_rpm, rig.run_up.to_rpm, rig.run_up.duration_s)
     return Stationary(rig.stationary.duration_s or rig.duration_s)
+
+
+def _played(experiment: Experiment, name: str) -> Played:
+    """Return the run that plays the references of a file.
+
+    Raises
+    ------
+    DataError
+        When the file cannot be read.
+    UsageError
+        When it has no references of both axes.
+    """
+    file = read_excitation(experiment.folder / name)
+    wanted = [f"r_{axis}_m" for axis in SIGNALS["r"].channels]
+    if missing := [column for column in wanted if column not in file.columns]:
+        raise UsageError(
+            f"{name}: no column {missing[0]}; the rig plays references r, so design the excitation with a fit of "
+            "the whole plant (structure: plant)"
+        )
+    return Played(np.column_stack([file.columns[column] for column in wanted]), file.sample_time, name)
 
 
 def record_options(experiment: Experiment, planned: PlannedRecording) -> dict[str, Any]:

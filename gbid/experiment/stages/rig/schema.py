@@ -77,6 +77,17 @@ class PrbsSection(Section):
     hold_s: Positive = _PRBS.hold_s
 
 
+class PlayedSection(Section):
+    """Recordings with the signal of a file, as `gbid excite` writes it; see `gbid.rig.Played`.
+
+    `file`: relative to the YAML. `at`: operating points; all when left out.
+    """
+
+    file: Text
+    recordings: Count = 1
+    at: Places | None = None
+
+
 class StationarySection(Section):
     """Recordings with piezos at rest (paper, Sec. 3.5)."""
 
@@ -260,6 +271,7 @@ class RigSection(Section):
     clearance_m: Positive = 25e-6
     moving_mass_kg: Positive = Machine.moving_mass
     prbs: PrbsSection = PrbsSection()
+    played: Annotated[PlayedSection | None, BeforeValidator(given)] = None
     stationary: StationarySection = StationarySection()
     staircase: Annotated[StaircaseSection | None, BeforeValidator(given)] = None
     stack_staircase: Annotated[StackStaircaseSection | None, BeforeValidator(given)] = None

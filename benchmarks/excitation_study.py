@@ -1,0 +1,152 @@
+"""Designed excitations tried on the rig: deviations expected and obtained, gain over a PRBS, distance to the wall.
+
+``python -m benchmarks.excitation_study`` writes ``docs/excitation.json``; ``--seeds`` and ``--draws`` make it short.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import gbid
+from gbid.errors import DataError
+from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, rig_limits
+from gbid.rig import Machine, Played, Prbs, Scatter, SensorChain, Unbalance, record
+from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
+
+OUT = Path(__file__).parents[1] / "docs" / "excitation.json"
+POINTS = ((6.0, 0.0), (5.0, 6000.0), (3.0, 4000.0))
+DT, DURATION = 2e-4, 5.0
+NOISE_U, NOISE_P = 10e-9, 30e-9
+PEAKS, RADIUS = {"r": 4.5e-6, "u": 8.4e-6}, {"p": 15e-6}
+STRUCTURE = Plant(RotorBearing(delay="exact", disturbance_gain="none"))
+QUIET = SensorChain(
+    noise_p=NOISE_P, noise_u=NOISE_U, runout_amplitude=np.zeros((2, 1)), runout_phase=np.zeros((2, 1)),
+    offset_p=(0.0, 0.0), offset_u=(0.0, 0.0),
+)  # fmt: skip
+
+
+def known_at(truth: dict[str, float]) -> KnownModel:
+    """Return the plant at its true parameters with the noise of the rig."""
+    return KnownModel(STRUCTURE, truth, np.array([NOISE_U, NOISE_U, NOISE_P, NOISE_P]))
+
+
+def scaled_prbs(known: KnownModel, hold_s: float, seed: int) -> np.ndarray:
+    """Return the random binary references of the rig at the peaks of the limits."""
+    r = Prbs(DURATION, 1.0, hold_s).reference(round(DURATION / DT), DT, np.random.default_rng(seed))
+    y = known.model.simulate(r, DT)
+    disc = np.hypot(y[:, 2], y[:, 3]).max()
+    return r / max(1 / PEAKS["r"], np.abs(y[:, :2]).max() / PEAKS["u"], disc / RADIUS["p"])
+
+
+def mean_relative(std: dict[str, float], truth: dict[str, float]) -> float:
+    """Return the mean over the key parameters of standard deviation over value [%]."""
+    return 100 * float(np.mean([std[name] / abs(truth[name]) for name in KEY_PARAMETERS]))
+
+
+def of_point(point: tuple[float, float], seeds: int, draws: int) -> dict[str, Any]:
+    """Return the study at one operating point."""
+    model = gbid.load_model("theisen2016")
+    conditions = {"pressure_bar": point[0], "speed_rpm": point[1]}
+    truth = {name: float(v) for name, v in model.key_parameters(*point).items()} | model.actuators
+    known = known_at(truth)
+    limits = ExcitationLimits(PEAKS, RADIUS)
+    found: dict[str, Any] = {"pressure_bar": point[0], "speed_rpm": point[1], "seeds": seeds, "draws": draws}
+    options: dict[str, Any] = {"duration": DURATION, "sample_time": DT, "focus": KEY_PARAMETERS}
+    made = {kind: gbid.design_excitation(known, limits=limits, kind=kind, **options) for kind in ("multisine", "prbs")}
+    paper = []
+    for seed in range(5):
+        covariance = expected_covariance(known, scaled_prbs(known, 20e-3, seed), DT)
+        paper.append(
+            mean_relative(dict(zip(covariance.free, np.sqrt(np.diag(covariance.covariance)), strict=True)), truth)
+        )
+    found["mean_std_percent"] = {
+        "multisine": mean_relative(made["multisine"].std, truth),
+        "prbs": mean_relative(made["prbs"].std, truth),
+        "prbs_20ms": float(np.mean(paper)),
+    }
+    found["prbs_hold_s"] = made["prbs"].sequence.hold_s
+    found["gap"] = made["multisine"].gap
+    found["lines"] = len(made["multisine"].lines.frequency_hz)
+    found["reached"] = {kind: list(each.reached) for kind, each in made.items()}
+    found["obtained"] = {
+        kind: obtained(each, truth, conditions, seeds if kind == "multisine" else 0) for kind, each in made.items()
+    }
+    found["wall"] = wall(truth, conditions, draws, options)
+    return found
+
+
+def obtained(
+    excitation: gbid.Excitation, truth: dict[str, float], conditions: dict[str, float], seeds: int
+) -> dict[str, float]:
+    """Return the root mean square of the errors of fits over the standard deviation expected, by parameter."""
+    machine = Machine.from_parameters(truth, truth, Unbalance(0.0), QUIET)
+    played = Played(excitation.signals["r"], DT, "design")
+    errors = []
+    for seed in range(seeds):
+        recording = record(machine, played, conditions=conditions, seed=seed, name="designed")
+        fit = gbid.fit(STRUCTURE, recording, start=truth_of(truth))
+        assert fit.success, fit.status
+        errors.append([(fit.parameters[name] - truth[name]) / excitation.std[name] for name in fit.free])
+    names = [q.name for q in STRUCTURE.parameters]
+    return dict(zip(names, np.sqrt(np.mean(np.square(errors), axis=0)).tolist(), strict=True)) if errors else {}
+
+
+def truth_of(truth: dict[str, float]) -> dict[str, float]:
+    """Return the parameters of the structure."""
+    return {q.name: truth[q.name] for q in STRUCTURE.parameters}
+
+
+def wall(truth: dict[str, float], conditions: dict[str, float], draws: int, options: dict[str, Any]) -> dict[str, Any]:
+    """Return how many recordings of machines that the rig draws touch the bearing, with limits of the rig."""
+    machine = Machine.from_parameters(truth, truth)
+    scatter = Scatter()
+    limits = rig_limits(machine, conditions=conditions, peaks=PEAKS, radius=RADIUS, scatter=scatter)
+    made = gbid.design_excitation(known_at(truth), limits=limits, **options)
+    period = round(made.lines.period_s / DT)
+    played = Played(made.signals["r"][:period], DT, "design")
+    touched = 0
+    for seed in range(draws):
+        try:
+            record(machine, played, conditions=conditions, seed=seed, name="scattered", scatter=scatter)
+        except DataError:
+            touched += 1
+    return {
+        "touched": touched,
+        "draws": draws,
+        "mean_std_percent": mean_relative(made.std, truth),
+        "reached": list(made.reached),
+        "use": dict(made.use),
+    }
+
+
+def ratios(stored: dict[str, Any]) -> list[float]:
+    """Return the mean over parameters of obtained over expected deviation, at each point."""
+    return [float(np.mean(list(point["obtained"]["multisine"].values()))) for point in stored["points"]]
+
+
+def gains(stored: dict[str, Any]) -> list[float]:
+    """Return how many times smaller the mean deviation is than with the PRBS held 20 ms, at each point."""
+    means = [point["mean_std_percent"] for point in stored["points"]]
+    return [mean["prbs_20ms"] / mean["multisine"] for mean in means]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, default=60)
+    parser.add_argument("--draws", type=int, default=334, help="at each operating point")
+    parser.add_argument("--out", type=Path, default=OUT)
+    arguments = parser.parse_args()
+    points = []
+    for point in POINTS:
+        points.append(of_point(point, arguments.seeds, arguments.draws))
+        arguments.out.write_text(json.dumps({"points": points}, indent=1) + "\n", encoding="utf-8")
+        print(json.dumps(points[-1]["mean_std_percent"]), ratios({"points": points}), points[-1]["wall"]["touched"])
+
+
+if __name__ == "__main__":
+    main()

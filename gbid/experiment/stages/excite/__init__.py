@@ -1,0 +1,1 @@
+"""Excitations of the next recordings, designed from the fits."""
