@@ -124,15 +124,24 @@ def wall(truth: dict[str, float], conditions: dict[str, float], draws: int, opti
     }
 
 
-def ratios(stored: dict[str, Any]) -> list[float]:
-    """Return the mean over parameters of obtained over expected deviation, at each point."""
-    return [float(np.mean(list(point["obtained"]["multisine"].values()))) for point in stored["points"]]
-
-
-def gains(stored: dict[str, Any]) -> list[float]:
-    """Return how many times smaller the mean deviation is than with the PRBS held 20 ms, at each point."""
-    means = [point["mean_std_percent"] for point in stored["points"]]
-    return [mean["prbs_20ms"] / mean["multisine"] for mean in means]
+def summary(stored: dict[str, Any]) -> str:
+    """Return the study as a Markdown table."""
+    heads = (
+        "point | mean std, multisine | designed PRBS | PRBS held 20 ms | gain | seeds | obtained / expected | touched"
+    )
+    rows = [f"| {heads} |", "|" + "---|" * (heads.count("|") + 1)]
+    for point in stored["points"]:
+        mean, ratio, wall_ = point["mean_std_percent"], list(point["obtained"]["multisine"].values()), point["wall"]
+        cells = (
+            f"{point['pressure_bar']:g} bar, {point['speed_rpm']:g} rpm",
+            *(f"{mean[kind]:.3g} %" for kind in ("multisine", "prbs", "prbs_20ms")),
+            f"{mean['prbs_20ms'] / mean['multisine']:.2f}",
+            f"{point['seeds']}",
+            f"{np.mean(ratio):.3f} ({min(ratio):.2f} to {max(ratio):.2f})",
+            f"{wall_['touched']} of {wall_['draws']}",
+        )
+        rows.append("| " + " | ".join(cells) + " |")
+    return "\n".join(rows)
 
 
 def main() -> None:
@@ -145,7 +154,7 @@ def main() -> None:
     for point in POINTS:
         points.append(of_point(point, arguments.seeds, arguments.draws))
         arguments.out.write_text(json.dumps({"points": points}, indent=1) + "\n", encoding="utf-8")
-        print(json.dumps(points[-1]["mean_std_percent"]), ratios({"points": points}), points[-1]["wall"]["touched"])
+    print(summary({"points": points}))
 
 
 if __name__ == "__main__":

@@ -146,6 +146,7 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         "fits",
         "crossval",
         "crossval_summary",
+        "excite",
         "target",
         "nominal",
         "lpv",
