@@ -26,7 +26,7 @@ structure = gbid.NonlinearStructure(
     ],
     states=["position", "velocity"],
     dynamics=dynamics,
-    output=lambda x, u, p: x[0],
+    output=lambda x, _u, _p: x[0],
     inputs="current",
     outputs="position",
     disturbance_gain=lambda p: [[p.l_1], [p.l_2]],

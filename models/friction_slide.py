@@ -31,7 +31,7 @@ structure = gbid.NonlinearStructure(
     ],
     states=["position", "velocity"],
     dynamics=dynamics,
-    output=lambda x, u, p: x[0],
+    output=lambda x, _u, _p: x[0],
     inputs="current",
     outputs="position",
     steps=8,  # of 2 ms: friction turns its sign within TURN

@@ -30,7 +30,7 @@ structure = gbid.NonlinearStructure(
     ],
     states=["upper", "lower"],
     dynamics=dynamics,
-    output=lambda x, u, p: [x[0], x[1]],
+    output=lambda x, _u, _p: [x[0], x[1]],
     inputs="pump",
     outputs=["upper", "lower"],
     disturbance_gain=lambda p: [[p.l_1, 0], [0, p.l_2]],

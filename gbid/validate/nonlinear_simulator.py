@@ -12,17 +12,17 @@ from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.structure import NonlinearModel
 from gbid.validate.simulator import Explained, course
 
-_ROUNDS = 30
-_SETTLED = 1e-10  # relative fall of the squares at which the search ends
-_STEP = 1e-6  # of a difference, as a part of the size of a state
-_DAMPED = 1e-3  # first damping, as a part of the curvature
+_ROUNDS = 30  # evaluations of a search
+_SETTLED = 1e-10  # relative step, and fall of the squares, at which it ends
+_FIRST, _GROWTH = 16, 4  # samples of the first stretch, for each state, and by how much the next one is longer
 
 
 @dataclass(frozen=True, eq=False)
 class NonlinearSimulator:
     """Nonlinear model prepared for the simulation on recordings; see `Simulator`.
 
-    The initial state is found by Levenberg's and Marquardt's method, from the working point of the model.
+    The initial state is found by least squares, first on the first samples, and then on more and more: over a whole
+    recording the squares have many minima.
 
     Attributes
     ----------
@@ -36,6 +36,8 @@ class NonlinearSimulator:
         Trends and hum of the outputs, estimated together with the initial state.
     name : str
         Recordings to which the model was fitted, for messages.
+    predicts : bool
+        Whether the initial state is that of the one-step predictor: a simulation of an unstable model overflows.
     """
 
     model: NonlinearModel
@@ -43,37 +45,32 @@ class NonlinearSimulator:
     intersample: str | Sequence[str] = "zoh"
     disturbances: Disturbances = UNDISTURBED
     name: str = "model"
+    predicts: bool = False
 
     def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
         """Return the initial state whose simulation is closest to the measured outputs; see `Simulator.explain`."""
-        size = np.maximum(np.abs(self.model.working_state), self.model.state_size)
+        from scipy.optimize import least_squares  # imported here, because the import is slow
 
-        def rest(state: FloatArray) -> FloatArray:
-            left = outputs - self.run(inputs, state)
-            left = left if counted is None else left[:, counted]
-            return left - course(self.disturbances, self.sample_time, left, inputs.shape[1], counted)
+        size, every = np.maximum(np.abs(self.model.working_state), self.model.state_size), inputs.shape[1]
+        used = np.ones(every, bool) if counted is None else counted
 
-        x = self.model.working_state.copy()
-        here, damping = rest(x), _DAMPED
-        for _ in range(_ROUNDS):
-            if not np.isfinite(here).all():
-                return Explained(np.full(len(x), np.nan), here)
-            slopes = np.stack([((rest(x + d) - here) / _STEP).ravel() for d in np.diag(_STEP * size)], axis=1)
-            normal, onto = slopes.T @ slopes, slopes.T @ here.ravel()
-            before = float((here**2).sum())
-            for _ in range(_ROUNDS):
-                ridge = damping * (np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
-                moved = x - size * np.linalg.solve(normal + np.diag(ridge), onto)
-                there = rest(moved)
-                if np.isfinite(there).all() and float((there**2).sum()) <= before:
-                    break
-                damping *= 10
-            else:
-                break
-            x, here, damping = moved, there, damping / 10
-            if before - float((here**2).sum()) <= _SETTLED * before:
-                break
-        return Explained(x, here)
+        def rest(scaled: FloatArray, n: int) -> FloatArray:
+            left = outputs[:, :n] - self._output(inputs[:, :n], outputs[:, :n], scaled * size)
+            left = left if counted is None else left[:, counted[:n]]
+            return left - course(self.disturbances, self.sample_time, left, n, None if counted is None else counted[:n])
+
+        z = self.model.working_state / size
+        for n in [*_lengths(used, len(z)), every]:
+            if not np.isfinite(rest(z, n)).all():
+                if n < every:
+                    continue
+                return Explained(np.full(len(z), np.nan), rest(z, n))
+            unit = float(np.abs(rest(z, n)).max()) or 1.0
+            tolerances = {"xtol": _SETTLED, "ftol": _SETTLED, "gtol": None}
+            z = least_squares(
+                lambda at, n=n, unit=unit: rest(at, n).ravel() / unit, z, max_nfev=_ROUNDS, **tolerances
+            ).x
+        return Explained(z * size, rest(z, every))
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
         """Return the simulated outputs without trend and hum, (n_outputs, n_samples)."""
@@ -81,7 +78,25 @@ class NonlinearSimulator:
         with np.errstate(over="ignore", invalid="ignore"):
             return self.model.simulate(inputs.T, self.sample_time, initial_state=initial_state, intersample=between).T
 
+    def _output(self, inputs: FloatArray, outputs: FloatArray, state: FloatArray) -> FloatArray:
+        if not self.predicts:
+            return self.run(inputs, state)
+        with np.errstate(over="ignore", invalid="ignore"):
+            arrays = inputs.T, outputs.T
+            between = self.intersample
+            return self.model.predict(*arrays, self.sample_time, initial_state=state, intersample=between).T
+
     def disturbed(self, error: FloatArray, counted: BoolArray | None = None) -> FloatArray:
         """Return the trend and hum that are closest to an error of the simulation; see `Simulator.disturbed`."""
         there = error if counted is None else error[:, counted]
         return course(self.disturbances, self.sample_time, there, error.shape[1], counted, everywhere=True)
+
+
+def _lengths(counted: BoolArray, n_states: int) -> list[int]:
+    """Return the lengths of the stretches before the whole recording, of samples that count enough."""
+    found, n = [], _FIRST * n_states
+    while n < len(counted):
+        if counted[:n].sum() >= 2 * n_states:
+            found.append(n)
+        n *= _GROWTH
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import toeplitz
@@ -19,6 +19,7 @@ from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
 from gbid.validate.any_simulator import simulator_of
 from gbid.validate.fit_percent import fit_percent
+from gbid.validate.nonlinear_simulator import NonlinearSimulator
 from gbid.validate.validation_data import Ranges, counted_samples
 
 _LEVEL = 0.99
@@ -212,6 +213,10 @@ def _predicted(result: FitResult, recording: Recording, stretch: slice) -> tuple
     with np.errstate(over="ignore", invalid="ignore"):
         disturbances = result.options.disturbances
         fitted = simulator_of(model, recording.sample_time, between, disturbances)
+        if isinstance(fitted, NonlinearSimulator) and result.options.focus == "prediction":
+            fitted = replace(
+                fitted, predicts=bool(fitted.model.K.any()) and not disturbances.instead_of_walks(1).n_columns
+            )
         state = fitted.explain(u.T, y.T).initial_state
         if not np.isfinite(state).all():
             raise overflow

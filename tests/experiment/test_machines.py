@@ -26,3 +26,5 @@ def test_the_recordings_of_a_machine_give_its_parameters(machine):
     assert np.abs(result.integration_shift).max() < 0.1
     for name, true in TRUE[machine].items():
         assert abs(result.parameters[name] - true) < 4 * result.std[name]
+    other = read_import(experiment, experiment.recordings["run1"])
+    assert gbid.check_residuals(result, other).white.all()  # from an initial state that is found among many minima
