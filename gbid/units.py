@@ -36,6 +36,8 @@ SIGNALS: dict[str, SignalKind] = {
     "u": SignalKind("m", "difference of piezo positions", ("x", "y")),
     "p": SignalKind("m", "lateral disc position", ("x", "y")),
     "phi": SignalKind("rad", "shaft angle", ("phi",)),
+    "pressure_bar": SignalKind("bar", "injection pressure", ("pressure_bar",)),
+    "speed_rpm": SignalKind("rpm", "speed of the shaft", ("speed_rpm",)),
     "force": SignalKind("N", "impact force", ("force",)),
     "f": SignalKind("N", "impact force along the axes", ("x", "y")),
     "v": SignalKind("V", "voltage of each piezo stack", ("1", "2", "3", "4")),

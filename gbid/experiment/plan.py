@@ -9,13 +9,17 @@ from gbid.experiment.problems import Location
 from gbid.experiment.schema import ExperimentFile
 from gbid.experiment.stages.importing.folders import FoundFile
 from gbid.experiment.stages.importing.schema import ImportedSection
-from gbid.experiment.stages.rig.schema import OperatingPoint, Place, RigSection
+from gbid.experiment.stages.rig.schema import CourseSection, OperatingPoint, Place, RigSection
 from gbid.units import SIGNALS
 
 RIG_SIGNALS = {name: SIGNALS[name].channels for name in ("r", "u", "p", "phi")}
 """Signals of the virtual rig with the names of their channels."""
 
+NO_POINT = "any"
+"""Word for the operating point of recordings without one."""
+
 _STACK_SIGNALS = {name: SIGNALS[name].channels for name in ("y_p", "v", "r_p")}
+_COURSE_SIGNALS = {name: SIGNALS[name].channels for name in ("pressure_bar", "speed_rpm")}
 _EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"].channels}}
 
 
@@ -40,7 +44,7 @@ class PlannedRecording:
     staircase : bool
         Whether it serves the static characterisation only. Fits and run-out maps then do not use it.
     run : tuple
-        Run of the rig, for example ``("prbs",)`` or ``("hammer", "x")``; empty for a file.
+        Run of the rig, for example ``("prbs",)``, ``("hammer", "x")`` or ``("course", 0)``; empty for a file.
     """
 
     name: str
@@ -69,7 +73,7 @@ class PlannedRecording:
         """Operating point as text, e.g. ``p5_n6000``; ``any`` when the conditions contain no operating point."""
         pressure, speed = self.conditions.get("pressure_bar"), self.conditions.get("speed_rpm")
         parts = [f"{letter}{v:g}" for letter, v in (("p", pressure), ("n", speed)) if v is not None]
-        return "_".join(parts) or "any"
+        return "_".join(parts) or NO_POINT
 
 
 def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) -> Iterator[PlannedRecording]:
@@ -77,6 +81,8 @@ def planned_recordings(spec: ExperimentFile, files: Iterable[FoundFile] = ()) ->
     if spec.rig is not None:
         for i, point in enumerate(spec.rig.operating_points):
             yield from _of_rig(spec.rig, point, ("rig", "operating_points", i))
+        for i, course in enumerate(spec.rig.courses):
+            yield from _along(spec.rig, course, i)
     for found in files:
         entry = found.entry
         yield PlannedRecording(
@@ -120,6 +126,16 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
             yield from planned(f"hammer_{axis}", rig.hammer.recordings, ("hammer", axis))
     if rig.run_up is not None:
         yield from planned("runup", rig.run_up.recordings, ("run_up",))
+
+
+def _along(rig: RigSection, course: CourseSection, index: int) -> Iterator[PlannedRecording]:
+    """Yield the recordings of a course; they have no operating point."""
+    signals = {**RIG_SIGNALS, **_COURSE_SIGNALS, **(_STACK_SIGNALS if rig.actuators.record_stacks else {})}
+    for i in range(course.recordings):
+        run = ("course", index)
+        yield PlannedRecording(
+            f"{course.name}{i + 1}", course.excited, {}, signals, ("rig", "courses", index), None, False, run
+        )
 
 
 def _there(places: tuple[Place, ...] | None, point: OperatingPoint) -> bool:

@@ -121,6 +121,8 @@ def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
         "experiment": {str(planned.run[0]): asdict(rig_experiment(experiment, planned))},
         "machine": asdict(machine_at(experiment, planned, rig_model(experiment))),
     }
+    if planned.run[:1] == ("course",):
+        settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
     return content_key("rig", settings)
 
 

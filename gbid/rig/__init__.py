@@ -5,6 +5,7 @@ from gbid.rig.excitation.hammer import Hammer, Impact
 from gbid.rig.excitation.played import Played
 from gbid.rig.excitation.prbs import Prbs, Stationary
 from gbid.rig.excitation.run_up import RunUp
+from gbid.rig.excitation.scheduled_run import Course, ScheduledRun
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults
 from gbid.rig.machine.controller import LoopProgram, ProgramController, SampledController
@@ -22,6 +23,7 @@ from gbid.rig.stepping.stepped_motion import SteppedMotion, stepped_motion
 __all__ = [
     "ActuatorTruth",
     "Contact",
+    "Course",
     "Experiment",
     "Faults",
     "FilmStiffening",
@@ -44,6 +46,7 @@ __all__ = [
     "RunUp",
     "SampledController",
     "Scatter",
+    "ScheduledRun",
     "SensorChain",
     "StackStaircase",
     "Staircase",

@@ -31,6 +31,7 @@ def provenance_of(
     thrown: int,
     touched: Sequence[Span],
     saturated: Mapping[str, Sequence[Span]],
+    constant: bool,
 ) -> dict[str, str]:
     """Return the texts that are stored with a recording; values are JSON."""
     effects = {"effects": {effect.name: asdict(effect) for effect in machine.effects}} if machine.effects else {}
@@ -41,8 +42,9 @@ def provenance_of(
         "simulation": how,
         "experiment": as_json({type(experiment).__name__: asdict(experiment)}),
         "rig": as_json({"oversampling": oversampling, "settle_s": settle_s, **rig, **effects}),
-        "truth": as_json(machine.rotor_bearing.key_parameters()),
     }
+    if constant:  # along a course there is no one truth
+        texts["truth"] = as_json(machine.rotor_bearing.key_parameters())
     if controller is not None:
         texts["controller"] = as_json(
             asdict(controller)

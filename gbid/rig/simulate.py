@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -14,22 +14,23 @@ from gbid.recording import Recording
 from gbid.rig.excitation.hammer import Hammer
 from gbid.rig.excitation.played import Played
 from gbid.rig.excitation.prbs import Prbs, Stationary, whole_samples
-from gbid.rig.excitation.run_up import RunUp, Turning
+from gbid.rig.excitation.run_up import RunUp
+from gbid.rig.excitation.scheduled_run import ScheduledRun
 from gbid.rig.excitation.staircase import StackStaircase, Staircase
 from gbid.rig.faults import Faults, with_faults
 from gbid.rig.machine.controller import ProgramController, SampledController
 from gbid.rig.machine.machine import ActuatorTruth, Machine
-from gbid.rig.machine.rig_effect import RigRun
-from gbid.rig.machine.scatter import Scatter, scatter_random, scattered
+from gbid.rig.machine.scatter import Scatter
 from gbid.rig.machine.sensors import TURN, encoder_angle, quantised, runout
 from gbid.rig.provenance import provenance_of, spans
+from gbid.rig.run_parts import along_course, effects_of, machine_this_time, program_loop, rotation
+from gbid.rig.stepping.along_course import AlongCourse, Surfaces
 from gbid.rig.stepping.forces import Forces, draw_noise, draw_whirl
-from gbid.rig.stepping.program_loop import ProgramLoop
 from gbid.rig.stepping.response import MIN_OVERSAMPLING, driven_motion, unbalance_orbit
 from gbid.rig.stepping.stepped_motion import RigEngine, SteppedMotion, stepped_motion
 from gbid.units import SIGNALS
 
-Experiment = Stationary | Prbs | Played | Staircase | StackStaircase | Hammer | RunUp
+Experiment = Stationary | Prbs | Played | Staircase | StackStaircase | Hammer | RunUp | ScheduledRun
 Simulation = Literal["auto", "exact", "stepping"]
 WhenTouching = Literal["refuse", "flag"]
 
@@ -49,6 +50,7 @@ def record(
     faults: Faults | None = None,
     touch_down: WhenTouching = "refuse",
     stacks: bool = False,
+    surfaces: Surfaces | None = None,
     simulation: Simulation = "auto",
     engine: RigEngine = "auto",
 ) -> Recording:
@@ -63,11 +65,11 @@ def record(
     ----------
     machine : Machine
         The rig, with its parameters at the operating point.
-    experiment : Stationary, Prbs, Played, Staircase, StackStaircase, Hammer or RunUp
+    experiment : Stationary, Prbs, Played, Staircase, StackStaircase, Hammer, RunUp or ScheduledRun
         References, impacts, rotation and length of the recording.
     conditions : dict of str to float
-        The operating point. ``speed_rpm`` is required and sets the speed of the shaft (except in a run-up). All
-        entries are stored.
+        The operating point. ``speed_rpm`` is required and sets the speed of the shaft, except in a run-up. Along a
+        course, leave out what changes. All entries are stored.
     seed : int
         Seed, at least zero. The same seed and name give the same recording, bit for bit.
     name : str
@@ -91,6 +93,9 @@ def record(
     stacks : bool
         Whether to record the positions y_p, references r_p and voltages v of the stacks as well. A `StackStaircase`
         always records them.
+    surfaces : callable, optional
+        True surfaces for a `ScheduledRun`: the key parameters by name for arrays of pressures [bar] and speeds [rpm],
+        such as ``model.key_parameters`` of a `gbid.LPVModel`. They replace the rotor and bearing of the machine.
     simulation : {"auto", "exact", "stepping"}
         Method. ``"stepping"`` is also possible where the closed form exists.
     engine : {"auto", "compiled", "python"}
@@ -102,9 +107,9 @@ def record(
         Signals r (as applied: excitation plus controller, limited to the travel), u (piezo position, offset and
         noise), p (disc position, run-out, offset and noise) [m], phi (encoder, within [0, 2 pi)) [rad]; in a
         `Hammer` test f (measured force, x and y) [N]; with a controller w (excitation that is added to its output) [m];
-        with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
-        Provenance: ``rig`` (all parameters), ``truth`` (the fourteen key parameters as drawn), ``simulation``,
-        and where they occurred ``touch_down`` and ``saturated`` (time intervals).
+        in a `ScheduledRun` pressure_bar and speed_rpm; with `stacks` y_p, r_p [m] and v [V] of the stacks 1 to 4.
+        Provenance: ``rig`` (all parameters), ``truth`` (the fourteen key parameters as drawn; not along a course),
+        ``simulation``, and where they occurred ``touch_down`` and ``saturated`` (time intervals).
 
     Raises
     ------
@@ -117,12 +122,12 @@ def record(
         raise UsageError(f"seed = {seed}, name = {name!r}; give a seed of at least zero and a name")
     if touch_down not in ("refuse", "flag"):
         raise UsageError(f"touch_down = {touch_down!r}; choose 'refuse' or 'flag'")
-    turning = experiment.turning() if isinstance(experiment, RunUp) else Turning(_speed(conditions))
-    machine, thrown = _this_time(machine, scatter, seed, name, conditions)
+    scheduled = isinstance(experiment, ScheduledRun)
+    if scheduled != (surfaces is not None):
+        raise UsageError("surfaces are for a ScheduledRun, and it needs them: give surfaces=model.key_parameters")
+    turning = rotation(experiment, conditions)
     if faults is not None and faults.rub_clearance is not None:
         machine, touch_down = replace(machine, clearance=faults.rub_clearance), "flag"
-    if controller is None:
-        machine.rotor_bearing.check_stable()
     if controller is not None and abs(controller.sample_time - sample_time) > 1e-9 * sample_time:
         raise UsageError(f"controller: sample_time = {controller.sample_time} s, the rig samples at {sample_time} s")
     n_samples = whole_samples("duration_s", experiment.duration_s, sample_time)
@@ -135,7 +140,16 @@ def record(
     first = start.uniform(0.0, TURN)  # angle when the simulation begins
     turning = replace(turning, start=first + turning.speed * n_settle * sample_time)
     times: FloatArray = np.asarray((np.arange(n + 1) - n_settle) * sample_time, np.float64)
-    forces, readings = _effects(machine, turning, times, conditions, of_effects)
+    along: AlongCourse | None = None
+    if isinstance(experiment, ScheduledRun) and surfaces is not None:
+        machine, along, thrown = along_course(machine, experiment, surfaces, times[:-1], scatter, seed, name)
+        pressure, speed_rpm = experiment.course.at(times[:-1])
+    else:
+        machine, thrown = machine_this_time(machine, scatter, seed, name, conditions)
+        pressure = np.full(n, conditions.get("pressure_bar", 0.0))
+    if controller is None:
+        machine.rotor_bearing.check_stable()
+    forces, readings = effects_of(machine, turning, times, conditions, of_effects)
     run = _Run(
         machine,
         experiment.reference(n, sample_time, levels, n_settle),
@@ -177,7 +191,8 @@ def record(
             sample_time,
             controller=controller if isinstance(controller, SampledController) else None,
             taken=controller.subtracted(shown) if isinstance(controller, SampledController) else None,
-            program=_program_loop(controller, turning, time, shown, conditions),
+            program=program_loop(controller, turning, time, shown, pressure),
+            along=along,
             stack_run=experiment if isinstance(experiment, StackStaircase) else None,
             n_settle=n_settle,
             oversampling=oversampling,
@@ -201,6 +216,8 @@ def record(
     if isinstance(experiment, Hammer):
         force = experiment.force(time[logged])
         signals["f"] = force + sensors.noise_f * noise_f.standard_normal((n_samples, 2))
+    if along is not None:
+        signals |= {"pressure_bar": pressure[logged, None], "speed_rpm": speed_rpm[logged, None]}
     if stacks or isinstance(experiment, StackStaircase):
         if isinstance(machine.actuator, ActuatorTruth):
             raise UsageError("stacks: this machine has linear actuators; give it PiezoStacks")
@@ -226,6 +243,7 @@ def record(
             thrown=thrown,
             touched=touched,
             saturated={stack: times for stack, times in ended.items() if times},
+            constant=along is None,
         ),
     )
     return recording if faults is None else with_faults(recording, faults, broken)
@@ -242,56 +260,12 @@ class _Run:
     oversampling: int
 
 
-def _effects(
-    machine: Machine,
-    turning: Turning,
-    time: FloatArray,
-    conditions: Mapping[str, float],
-    random: Sequence[np.random.Generator],
-) -> tuple[FloatArray | None, FloatArray]:
-    """Return the sums of the forces per moving mass [m/s^2], or None, and of the readings [m] of all effects."""
-    force, reading = None, np.zeros((len(time), 2))
-    for effect, own in zip(machine.effects, random, strict=True):
-        run = RigRun(time, turning.angle(time), turning.speed_at(time), conditions, own)
-        pushed, read = effect.force(run), effect.reading(run)
-        if pushed is not None:
-            force = pushed if force is None else force + pushed
-        if read is not None:
-            reading = reading + read
-    return force, reading
-
-
-def _this_time(
-    machine: Machine, scatter: Scatter | None, seed: int, name: str, conditions: Mapping[str, float]
-) -> tuple[Machine, int]:
-    """Return the machine of this recording, with its scatter, and the number of rejected draws."""
-    if scatter is None:
-        return machine, 0
-    random = scatter_random(seed, name, conditions)
-    rotor_bearing, thrown = scattered(machine.rotor_bearing, scatter, random)
-    return replace(machine, rotor_bearing=rotor_bearing), thrown
-
-
-def _program_loop(
-    controller: SampledController | ProgramController | None,
-    turning: Turning,
-    time: FloatArray,
-    shown: FloatArray,
-    conditions: Mapping[str, float],
-) -> ProgramLoop | None:
-    """Return the program of the loop with what it sees at the samples; None for another controller."""
-    if not isinstance(controller, ProgramController):
-        return None
-    speed_rpm = turning.speed_at(time) * 60.0 / TURN
-    return ProgramLoop(controller.program, shown, speed_rpm, conditions.get("pressure_bar", 0.0))
-
-
 def _reasons_to_step(
     machine: Machine, experiment: Experiment, controller: SampledController | ProgramController | None
 ) -> list[str]:
     """Return the names of the parts that have no closed form."""
     reasons = machine.beyond_closed_form()
-    if isinstance(experiment, Hammer | RunUp | StackStaircase):
+    if isinstance(experiment, Hammer | RunUp | ScheduledRun | StackStaircase):
         reasons.append(type(experiment).__name__)
     if controller is not None:
         reasons.append("a controller")
@@ -320,14 +294,6 @@ def _stack_references(experiment: Experiment, command: FloatArray) -> FloatArray
         command = command.copy()
         command[:, experiment.stack - 1] = 0.0
     return command
-
-
-def _speed(conditions: Mapping[str, float]) -> float:
-    """Return the speed of the shaft [rad/s]."""
-    speed_rpm = conditions.get("speed_rpm")
-    if speed_rpm is None or not np.isfinite(speed_rpm):
-        raise UsageError(f"conditions: speed_rpm = {speed_rpm}; give the speed of the shaft, 0 for standstill")
-    return float(speed_rpm) * TURN / 60.0
 
 
 def _check_clearance(name: str, time: FloatArray, radius: FloatArray, clearance: float) -> None:

@@ -16,7 +16,8 @@ RPM = np.pi / 30
 class RunUp:
     """Run-up: the speed changes at a constant rate, and the references are zero.
 
-    The parameters of rotor and bearing do not follow the speed: they stay those of the machine.
+    The parameters of rotor and bearing do not follow the speed: they stay those of the machine. In a `ScheduledRun`
+    they do.
 
     Parameters
     ----------
@@ -42,38 +43,53 @@ class RunUp:
 
     def turning(self) -> Turning:
         """Return the shaft angle, speed and acceleration over time."""
-        slope = (self.to_rpm - self.from_rpm) * RPM / self.duration_s
-        return Turning(self.from_rpm * RPM, slope)
+        return Turning((0.0, self.duration_s), (self.from_rpm * RPM, self.to_rpm * RPM))
 
 
 @dataclass(frozen=True)
 class Turning:
     """Rotation of the shaft: angle, speed and acceleration over time.
 
-    The speed is constant before the first sample.
+    The speed is linear between given times, the first of which is zero (the first sample), and constant before the
+    first and after the last.
 
     Parameters
     ----------
-    speed : float
-        Speed at the first sample [rad/s].
-    acceleration : float
-        Angular acceleration after the first sample [rad/s^2].
+    times : tuple of float
+        Times from the first sample [s], ascending from 0.
+    speeds : tuple of float
+        Speeds at these times [rad/s].
     start : float
         Angle at the first sample [rad].
     """
 
-    speed: float
-    acceleration: float = 0.0
+    times: tuple[float, ...]
+    speeds: tuple[float, ...]
     start: float = 0.0
+
+    @property
+    def speed(self) -> float:
+        """Speed up to the first sample [rad/s]."""
+        return self.speeds[0]
 
     def angle(self, time: FloatArray) -> FloatArray:
         """Return the shaft angle at times from the first sample [rad], not wrapped, shape of `time`."""
-        return self.start + self.speed * time + 0.5 * self.acceleration * np.maximum(time, 0.0) ** 2
+        times, speeds = np.array(self.times), np.array(self.speeds)
+        turned = np.concatenate([[0.0], np.cumsum(0.5 * (speeds[1:] + speeds[:-1]) * np.diff(times))])
+        piece, slope = self._pieces(time)
+        since = time - times[piece]
+        return np.asarray(self.start + turned[piece] + speeds[piece] * since + 0.5 * slope * since**2)
 
     def speed_at(self, time: FloatArray) -> FloatArray:
         """Return the speed at times from the first sample [rad/s], shape of `time`."""
-        return self.speed + self.acceleration * np.maximum(time, 0.0)
+        return np.interp(time, self.times, self.speeds)
 
     def acceleration_at(self, time: FloatArray) -> FloatArray:
         """Return the angular acceleration at times from the first sample [rad/s^2], shape of `time`."""
-        return np.where(time > 0, self.acceleration, 0.0)
+        return self._pieces(time)[1]
+
+    def _pieces(self, time: FloatArray) -> tuple[np.ndarray, FloatArray]:
+        """Return the last given time before each time, as an index, and the acceleration there."""
+        piece = np.maximum(np.searchsorted(self.times, time, side="left") - 1, 0)
+        slopes = np.append(np.diff(self.speeds) / np.diff(self.times), 0.0)
+        return piece, np.where(np.asarray(time) > self.times[0], slopes[piece], 0.0)

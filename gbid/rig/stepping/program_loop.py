@@ -25,14 +25,18 @@ class ProgramLoop:
         The program.
     angle, speed_rpm : (n,) array
         Shaft angle that the encoder shows [rad], and speed [rpm], for each sample.
-    pressure_bar : float
-        Pressure [bar].
+    pressure_bar : (n,) array
+        Pressure for each sample [bar].
     """
 
     program: LoopProgram
     angle: FloatArray
     speed_rpm: FloatArray
-    pressure_bar: float
+    pressure_bar: FloatArray
+
+    def part(self, rows: slice) -> ProgramLoop:
+        """Return the loop for some of the samples."""
+        return ProgramLoop(self.program, self.angle[rows], self.speed_rpm[rows], self.pressure_bar[rows])
 
 
 def run_with_program(run: StepRun, arrays: StepArrays, state: StepState, chunk: Chunk, loop: ProgramLoop) -> FloatArray:
@@ -65,5 +69,5 @@ def run_with_program(run: StepRun, arrays: StepArrays, state: StepState, chunk: 
         )
         rows[k] = run(arrays, state, one)[0]
         seen = rows[k, ROW.seen]
-        state.command[:] = loop.program.references(seen, loop.angle[k], loop.pressure_bar, loop.speed_rpm[k])
+        state.command[:] = loop.program.references(seen, loop.angle[k], loop.pressure_bar[k], loop.speed_rpm[k])
     return rows

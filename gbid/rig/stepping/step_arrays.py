@@ -14,8 +14,8 @@ from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import ActuatorTruth, Machine
 from gbid.rig.machine.piezo import ALLOCATION, N_PLAYS, PiezoStack, PiezoStacks, StackRest, pair_difference
 
-STEP, DELAY = 21, slice(19, 21)
-"""Indices of the step size and of the delays (in steps) in `StepArrays.rotor`."""
+STEP, DELAY, BEARING = 21, slice(19, 21), slice(0, 12)
+"""Indices of the step size, of the delays (in steps), and of K, D and B in `StepArrays.rotor`."""
 
 
 class _Row(NamedTuple):

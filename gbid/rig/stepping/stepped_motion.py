@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from gbid.rig.excitation.staircase import StackStaircase
 from gbid.rig.machine.controller import SampledController
 from gbid.rig.machine.machine import Machine
 from gbid.rig.machine.piezo import PiezoStacks
+from gbid.rig.stepping.along_course import PIECE, AlongCourse
 from gbid.rig.stepping.forces import Forces
 from gbid.rig.stepping.program_loop import ProgramLoop, StepRun, run_with_program
 from gbid.rig.stepping.python_twin import run_in_python
@@ -72,6 +73,7 @@ def stepped_motion(
     taken: FloatArray | None = None,
     program: ProgramLoop | None = None,
     stack_run: StackStaircase | None = None,
+    along: AlongCourse | None = None,
     n_settle: int = 0,
     oversampling: int = MIN_OVERSAMPLING,
     wall: bool = True,
@@ -101,6 +103,8 @@ def stepped_motion(
         Correction that the controller subtracts from the measured position [m].
     program : ProgramLoop, optional
         Program that closes the loop in place of `controller`.
+    along : AlongCourse, optional
+        Parameters of rotor and bearing on the way, in place of those of the machine.
     stack_run : StackStaircase, optional
         Staircase of one stack, which then does not follow the references of its pair.
     n_settle : int
@@ -130,7 +134,8 @@ def stepped_motion(
         machine, controller, sample_time, oversampling, wall, stack_run.stack if stack_run and is_open else None
     )
     base = _base(machine, stack_run, arrays, n, sample_time, n_settle)
-    state = rest_state(arrays, machine, base[0] if n else np.zeros(4))
+    longest = arrays if along is None else along.longest(arrays)
+    state = rest_state(longest, machine, base[0] if n else np.zeros(4))
     orbit, velocity = forces.orbit_at_start()
     state.rotor[0:2] += orbit
     state.rotor[2:4] += velocity
@@ -138,14 +143,18 @@ def stepped_motion(
     run, how = _choose(engine)
     rows = np.empty((n, ROW_WIDTH))
     for first in range(0, n, _CHUNK):
-        part = slice(first, min(first + _CHUNK, n))
-        on_grid = forces.between(part.start, part.stop, oversampling)
-        chunk = Chunk(excitation[part], base[part], on_grid, sensor[part], taken[part])
-        if program is None:
-            rows[part] = run(arrays, state, chunk)
-        else:
-            there = replace(program, angle=program.angle[part], speed_rpm=program.speed_rpm[part])
-            rows[part] = run_with_program(run, arrays, state, chunk, there)
+        last = min(first + _CHUNK, n)
+        on_grid = forces.between(first, last, oversampling)
+        for begin in range(first, last, _CHUNK if along is None else PIECE):
+            part = slice(begin, last if along is None else min(begin + PIECE, last))
+            grid = slice(2 * oversampling * (part.start - first), 2 * oversampling * (part.stop - first) + 1)
+            here = arrays if along is None else along.arrays(arrays, begin)
+            chunk = Chunk(excitation[part], base[part], on_grid[grid], sensor[part], taken[part])
+            rows[part] = (
+                run(here, state, chunk)
+                if program is None
+                else run_with_program(run, here, state, chunk, program.part(part))
+            )
     columns = (np.ascontiguousarray(rows[:, where]) for where in ROW)
     r, u, p, seen, stacks, volts, ended, radius, commands = columns
     return SteppedMotion(r, u, p, seen, stacks, volts, commands, ended, radius, how)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from gbid.experiment.experiment import Experiment
+from gbid.experiment.plan import NO_POINT
 from gbid.experiment.problems import Found
 
 
@@ -20,6 +21,10 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
     if section.method == "none":
         return
     still = {q.point for q in experiment.recordings.values() if q.stationary}
+    if section.slow_roll is not None:
+        if not any(q.stationary for q in experiment.matching(section.slow_roll)):
+            yield ("prefilter", "slow_roll"), f"no stationary recording matches {', '.join(section.slow_roll)}"
+        still.add(NO_POINT)
     reported: set[str] = set()
     for planned in experiment.recordings.values():
         if planned.excited and planned.point not in still | reported:

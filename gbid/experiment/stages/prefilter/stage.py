@@ -11,7 +11,7 @@ from typing import Any
 from gbid.errors import DataError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
-from gbid.experiment.plan import PlannedRecording
+from gbid.experiment.plan import NO_POINT, PlannedRecording
 from gbid.experiment.recordings import driving_channels, load_made, recording_key, refuse_bad_signals, used_channels
 from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
@@ -104,7 +104,12 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
         else:
             refuse_lost_index(runout_map, raw)
     filtered, report = prefilter(
-        raw, runout_map, spikes=section.spikes, median=section.median, remove_mean=section.remove_mean
+        raw,
+        runout_map,
+        spikes=section.spikes,
+        median=section.median,
+        remove_mean=section.remove_mean,
+        any_condition=planned.point == NO_POINT,
     )
     save_recording(filtered, part, overwrite=True)
     add_report(part, report)
@@ -163,7 +168,11 @@ def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
 
 
 def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
-    return [q for q in experiment.points.get(point, ()) if q.stationary]
+    there = [q for q in experiment.points.get(point, ()) if q.stationary]
+    section = experiment.spec.prefilter
+    if point == NO_POINT and not there and section is not None and section.slow_roll is not None:
+        return [q for q in experiment.matching(section.slow_roll) if q.stationary]
+    return there
 
 
 def _stationary_keys(experiment: Experiment, point: str) -> list[Any]:

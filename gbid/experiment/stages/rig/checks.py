@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from gbid.errors import GbidError, UsageError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
@@ -37,6 +39,15 @@ def rig_runs(experiment: Experiment) -> Found:
                 yield (
                     ("rig", "operating_points", i, key),
                     f"{value:g} lies outside the domain of {model.name}, {low:g} to {high:g}; choose a value inside",
+                )
+    for i, course in enumerate(rig.courses):
+        for key in ("pressure_bar", "speed_rpm"):
+            values, (low, high) = np.atleast_1d(getattr(course, key)), getattr(model.domain, key)
+            if values.min() < low or values.max() > high:
+                inside = False
+                yield (
+                    ("rig", "courses", i, key),
+                    f"leaves the domain of {model.name}, {low:g} to {high:g}; choose values inside",
                 )
     for location, seconds in _times(rig):
         try:

@@ -30,5 +30,10 @@ def rig_model(experiment: Experiment) -> LPVModel:
 
 def true_parameters(model: LPVModel, planned: PlannedRecording) -> dict[str, float]:
     """Return the true key parameters and actuator parameters at the operating point of a recording."""
-    key_parameters = model.key_parameters(planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
+    return true_parameters_at(model, planned.conditions["pressure_bar"], planned.conditions["speed_rpm"])
+
+
+def true_parameters_at(model: LPVModel, pressure_bar: float, speed_rpm: float) -> dict[str, float]:
+    """Return the true key parameters and actuator parameters at an operating point."""
+    key_parameters = model.key_parameters(pressure_bar, speed_rpm)
     return {**{name: float(np.asarray(value)) for name, value in key_parameters.items()}, **model.actuators}

@@ -13,11 +13,11 @@ from gbid.errors import UsageError
 from gbid.excite import read_excitation
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.stages.rig.model import true_parameters
+from gbid.experiment.stages.rig.model import true_parameters, true_parameters_at
 from gbid.experiment.stages.rig.schema import ActuatorSection, FaultSection, RigSection, SensorSection
 from gbid.lpv import LPVModel
-from gbid.rig import Experiment as RigExperiment
 from gbid.rig import (
+    Course,
     Faults,
     FilmStiffening,
     FlexibleMode,
@@ -31,6 +31,7 @@ from gbid.rig import (
     ProcessNoise,
     RunUp,
     Scatter,
+    ScheduledRun,
     SensorChain,
     StackStaircase,
     Staircase,
@@ -50,7 +51,8 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
         When the point lies outside the domain of the model, or the rig refuses a value.
     """
     rig = _rig(experiment)
-    true = true_parameters(model, planned)
+    place = None if (course := course_of(experiment, planned)) is None else course.at(np.array(0.0))
+    true = true_parameters(model, planned) if place is None else true_parameters_at(model, *map(float, place))
     flexible, stiffening, whirl = rig.flexible_mode, rig.stiffening, rig.non_synchronous
     return Machine.from_parameters(
         true,
@@ -68,6 +70,31 @@ def machine_at(experiment: Experiment, planned: PlannedRecording, model: LPVMode
     )
 
 
+def course_of(experiment: Experiment, planned: PlannedRecording) -> Course | None:
+    """Return the course of pressure and speed of a recording; None at a constant operating point.
+
+    Raises
+    ------
+    UsageError
+        When times and values do not fit each other.
+    """
+    rig = _rig(experiment)
+    if planned.run[:1] != ("course",):
+        return None
+    section = rig.courses[int(planned.run[1])]
+    if section.times_s is not None and section.duration_s is not None:
+        raise UsageError(f"course {section.name!r}: give duration_s or times_s, not both")
+    end = rig.duration_s if section.duration_s is None else section.duration_s
+    if not section.coast_down:
+        return Course(section.times_s or (0.0, end), section.pressure_bar, section.speed_rpm)
+    speeds = section.speed_rpm
+    if section.times_s is not None or not isinstance(speeds, tuple) or len(speeds) != 2:
+        raise UsageError(f"course {section.name!r}: coast_down needs duration_s and two numbers for speed_rpm")
+    if isinstance(section.pressure_bar, tuple):
+        raise UsageError(f"course {section.name!r}: coast_down has one pressure; give one number for pressure_bar")
+    return Course.coast_down(end, section.pressure_bar, *speeds)
+
+
 def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExperiment:
     """Return the run of the rig for a recording.
 
@@ -82,6 +109,10 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
             return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
         case ("played",) if rig.played is not None:
             return _played(experiment, rig.played.file)
+        case ("course", int(i)) if (course := course_of(experiment, planned)) is not None:
+            end = course.duration_s
+            moving = Prbs(end, rig.prbs.amplitude_m, rig.prbs.hold_s)
+            return ScheduledRun(course, moving if rig.courses[i].excited else Stationary(end))
         case ("staircase", ("x" | "y") as axis) if rig.staircase is not None:
             stairs = rig.staircase
             return Staircase(axis, stairs.step_m, stairs.steps, stairs.hold_s)

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Field, Strict
 from gbid.experiment.fields import (
     Count,
     CountOrZero,
+    Name,
     Names,
     NotNegative,
     Number,
@@ -141,6 +142,26 @@ class RunUpSection(Section):
     from_rpm: NotNegative = _RUN_UP.from_rpm
     to_rpm: NotNegative = _RUN_UP.to_rpm
     duration_s: Positive = _RUN_UP.duration_s
+
+
+Course = Annotated[tuple[NotNegative, ...], Field(min_length=2)]
+
+
+class CourseSection(Section):
+    """Recordings during which pressure and speed change, ``<name>1`` and so on; see `gbid.rig.ScheduledRun`.
+
+    `times_s`: times of the values of `pressure_bar` and `speed_rpm`, straight between them; by default start and end.
+    `coast_down`: the speed falls from the first to the second value as against viscous friction.
+    """
+
+    name: Name
+    recordings: Count = 1
+    duration_s: Positive | None = None
+    times_s: Course | None = None
+    pressure_bar: NotNegative | Course
+    speed_rpm: NotNegative | Course
+    coast_down: Switch = False
+    excited: Switch = True
 
 
 class SensorSection(Section):
@@ -277,6 +298,7 @@ class RigSection(Section):
     stack_staircase: Annotated[StackStaircaseSection | None, BeforeValidator(given)] = None
     hammer: Annotated[HammerSection | None, BeforeValidator(given)] = None
     run_up: Annotated[RunUpSection | None, BeforeValidator(given)] = None
+    courses: tuple[CourseSection, ...] = ()
     sensors: SensorSection = SensorSection()
     unbalance: UnbalanceSection = UnbalanceSection()
     actuators: ActuatorSection = ActuatorSection()

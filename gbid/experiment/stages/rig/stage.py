@@ -13,7 +13,7 @@ from gbid.experiment.stages.rig.plan import machine_at, record_options, rig_expe
 from gbid.recording import (
     save_recording,
 )
-from gbid.rig import record
+from gbid.rig import ScheduledRun, record
 
 
 def rig_tasks(job: Job) -> list[Task]:
@@ -27,8 +27,10 @@ def rig_tasks(job: Job) -> list[Task]:
 
 def _write_rig_recording(job: Job, name: str, part: Path) -> None:
     experiment, planned = job.experiment, job.experiment.recordings[name]
-    machine = machine_at(experiment, planned, rig_model(experiment))
-    made = record(machine, rig_experiment(experiment, planned), **record_options(experiment, planned))
+    model = rig_model(experiment)
+    machine, run = machine_at(experiment, planned, model), rig_experiment(experiment, planned)
+    surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
+    made = record(machine, run, surfaces=surfaces, **record_options(experiment, planned))
     save_recording(made, part, overwrite=True)
 
 
