@@ -39,6 +39,7 @@ from gbid.rig import (
     Unbalance,
     rig_effect,
 )
+from gbid.rig import Experiment as RigExperiment
 from gbid.units import SIGNALS
 
 
