@@ -74,3 +74,9 @@ class ControlNote(NoteKind):
         "Decays at further frequencies are fitted beside the two modes, so that they do not bias these.",
         "Nothing; a longer recording tells whether they belong to the rotor or to the rig.",
     )
+    FIT_NOT_CONVERGED = Explanation(
+        "GB412",
+        "a plant is a fit that did not converge",
+        "The design is for the model of the last iteration, which may be far from the machine.",
+        "Repeat the fit from a nearer start or with more iterations, or check the design on another model.",
+    )

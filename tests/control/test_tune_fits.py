@@ -10,6 +10,7 @@ from fit_cases import ACTUATORS, simulated
 
 import gbid
 from gbid.control import MaxDamping, PeakSensitivity, controller_model, sensitivities, smallest_damping, tune_robust
+from gbid.identify.status import FitStatus
 from gbid.lpv import Estimates, LPVFit, fit_lpv
 from gbid.structure import KEY_PARAMETERS
 
@@ -43,6 +44,10 @@ def test_fits_of_two_recordings_share_a_design() -> None:
     known = gbid.tune(machine, goals=GOALS, operating_points=[(5.0, 0.0), (6.0, 0.0)])
     assert both.value == pytest.approx(known.value, rel=1e-5)
     assert dict(both.gains) == pytest.approx(dict(known.gains), rel=1e-3)
+    assert not any("converge" in note for note in both.notes)
+    stopped = replace(fits[0], status=FitStatus.ITERATION_LIMIT)
+    told = gbid.tune(stopped, goals=GOALS, start=both.gains).notes
+    assert sum("did not converge" in note for note in told) == 1
 
 
 def test_robust_design_on_surfaces_holds_on_plants_drawn_anew(surfaces: LPVFit) -> None:

@@ -28,14 +28,17 @@ def notes_of(
     points: tuple[tuple[float, float], ...],
     sampling: Sampling | None,
 ) -> tuple[str, ...]:
-    """Return the remarks on a design: unstable open loops, distance to the edge, and the exactly sampled loop."""
+    """Return the remarks on a design: unfinished fits, unstable open loops, distance to the edge, the sampled loop."""
     labels = [point_label(P, Omega) for P, Omega in design.points]
     if design.lpv is None:
         labels = list(problem.families[0].labels)
     unstable = [label for label, rate in zip(labels, design.slowest, strict=True) if rate < 0]
-    notes: tuple[str, ...] = ()
+    notes = tuple(
+        ControlNote.FIT_NOT_CONVERGED(f"the plant {fit.model.name!r} is a fit that did not converge")
+        for fit in design.unfinished
+    )
     if unstable:
-        notes = (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
+        notes += (ControlNote.UNSTABLE_OPEN_LOOP(f"the open loop is not stable at {'; '.join(unstable)}"),)
     notes += _edge_notes(problem, optimum, names)
     if sampling is not None and design.lpv is not None:
         gains = dict(zip(names, map(float, optimum.x), strict=True))

@@ -50,6 +50,8 @@ class DesignPlants:
         The LPV model; None for given models.
     domain : Domain or None
         Domain over which the design must hold.
+    unfinished : tuple of FitResult
+        Plants that are fits which did not converge.
     """
 
     continuous: PlantSet
@@ -59,6 +61,7 @@ class DesignPlants:
     slowest: tuple[float, ...]
     lpv: LPVModel | None = None
     domain: Domain | None = None
+    unfinished: tuple[FitResult, ...] = ()
 
 
 def plants_of(
@@ -96,7 +99,8 @@ def plants_of(
     continuous = ModelLoops(structure, chosen, delay_s=_delay(sampling))
     sampled = None if sampling is None else ModelLoops(structure, chosen, sampling)
     slowest = tuple(slowest_mode(one.poles()) for one in chosen)
-    return DesignPlants(continuous, sampled, continuous.points, chosen[0], slowest)
+    unfinished = tuple(each for each in given if isinstance(each, FitResult) and not each.success)
+    return DesignPlants(continuous, sampled, continuous.points, chosen[0], slowest, unfinished=unfinished)
 
 
 def _of_lpv(
