@@ -1,6 +1,10 @@
-"""One axis of an active magnetic bearing: negative stiffness, driven by the control current."""
+"""One axis of a magnetic levitation: negative stiffness, driven by the control current, and its position loop."""
 
 import gbid
+
+SAMPLE_TIME = 1e-4  # of the shop's controller [s]
+STIFFNESS_GAIN, DAMPING_GAIN = 10e3 / 3, 28.0 / 3  # [A/m], [A s/m]
+FOLLOWS = 0.3  # share by which the filtered velocity follows the difference quotient in a sample
 
 
 def matrices(p):
@@ -29,3 +33,17 @@ structure = gbid.LinearStructure(
     inputs="current",
     outputs="position",
 )
+
+quotient = FOLLOWS / SAMPLE_TIME
+shop = gbid.LinearModel(  # states: position of the sample before, and filtered velocity
+    [[0.0, 0.0], [-quotient, 1 - FOLLOWS]],
+    [[1.0], [quotient]],
+    [[DAMPING_GAIN * quotient, -DAMPING_GAIN * (1 - FOLLOWS)]],
+    [[-STIFFNESS_GAIN - DAMPING_GAIN * quotient]],
+    dt=SAMPLE_TIME,
+    name="shop",
+)
+"""PD controller of the shop, from position to current, as it runs: it acts within the sample of its measurement."""
+
+loop = gbid.ClosedLoop(structure, shop, computation_samples=0, inputs="added", outputs="position")
+"""Position loop: from the current that is added to the output of the controller to the position."""

@@ -73,5 +73,6 @@ def write_held_bearing(path: Path, seed: int, n_samples: int = 6000, sample_time
         before = position[k]
         current[k] = added[k] - (5 * stiffness * position[k] + 2.8 * rate * velocity) / gain
         x = A @ x + B * current[k]
-    rows = np.column_stack([1e3 * sample_time * np.arange(n_samples), current, 1e6 * position])
-    np.savetxt(path, rows, delimiter=",", header="time [ms],current [A],position [um]", comments="", fmt="%.6g")
+    rows = np.column_stack([1e3 * sample_time * np.arange(n_samples), added, current, 1e6 * position])
+    header = "time [ms],added [A],current [A],position [um]"
+    np.savetxt(path, rows, delimiter=",", header=header, comments="", fmt="%.6g")

@@ -141,7 +141,7 @@ def test_the_magnetic_bearing_of_the_template_is_identified(tmp_path):
     assert gbid("new", experiment.parent, "--template", "magnetic-bearing") == 0
     assert gbid("import", experiment, "--engine", "serial") == 0
     assert gbid("fit", experiment, "--engine", "serial") == 0
-    for run in ("run1", "run2"):
-        fit = load_fit(experiment.parent / "results" / "magnetic_bearing" / "fits" / "bearing" / f"{run}.h5")
+    for path in (f"{fit}/{run}.h5" for fit in ("bearing", "position_loop") for run in ("run1", "run2")):
+        fit = load_fit(experiment.parent / "results" / "magnetic_bearing" / "fits" / path)
         for name, true in (("k_s", 4e4), ("k_i", 60.0)):
             assert abs(fit.parameters[name] - true) < 4 * fit.std[name] < 0.1 * true
