@@ -17,11 +17,12 @@ _ORDER: Mapping[str, Callable[[Any], object]] = {
     "lpv": lambda spec: spec.lpv,
     "tune": lambda spec: spec.controller,
     "impact": lambda spec: spec.impacts,
+    "cycle": lambda spec: spec.cycle,
     "report": lambda _: True,
     "export": lambda spec: spec.fits or spec.lpv or spec.controller,
 }
 """Verbs in the order of the work, with what an experiment must have for them."""
-_LIKE = {"batch": "fit", "run": "report", "figures": "impact", "reproduce": "impact"}
+_LIKE = {"batch": "fit", "run": "report", "figures": "cycle", "reproduce": "cycle"}
 
 
 def next_step(experiment: Experiment, verb: str) -> str:

@@ -100,6 +100,13 @@ STAGE_VERBS = (
         ("impact",),
         ("gbid impact rig1/experiment.yaml", "gbid impact rig1/experiment.yaml --json > impacts.json"),
     ),
+    StageVerb(
+        "cycle",
+        CONTROL,
+        "Record with the tuned controller in the loop, fit and tune again, and measure each round by impacts.",
+        ("cycle",),
+        ("gbid cycle rig1/experiment.yaml", "gbid cycle rig1/experiment.yaml --json > cycle.json"),
+    ),
 )
 
 

@@ -10,6 +10,8 @@ from gbid.experiment.run.job import Job
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.run.view import Document, View, outcomes_view
+from gbid.experiment.stages.cycle.stage import made_rows
+from gbid.report.tables.cycle_tables import cycle_documents, cycle_summary
 from gbid.report.tables.fit_tables import fit_tables
 from gbid.report.tables.impact_tables import impact_tables
 from gbid.report.tables.lpv_tables import lpv_table
@@ -77,6 +79,10 @@ VIEWS: Mapping[str, View] = {
     "impact": View(
         lambda job, outcomes: {"impacts": of.impact_documents(job, outcomes)},
         lambda document: impact_tables(document["impacts"]),
+    ),
+    "cycle": View(
+        lambda job, _: {"cycle": cycle_documents(made_rows(job))},
+        _one("cycle", cycle_summary),
     ),
 }
 """By the name of the stage."""

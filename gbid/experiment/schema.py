@@ -8,6 +8,7 @@ from pydantic import BeforeValidator, Field
 
 from gbid.experiment.fields import Name, Section, Text, given
 from gbid.experiment.stages.crossval.schema import CrossvalSection
+from gbid.experiment.stages.cycle.schema import CycleSection
 from gbid.experiment.stages.excite.schema import ExciteSection
 from gbid.experiment.stages.figures.schema import FigureSection
 from gbid.experiment.stages.fit.schema import FitSection
@@ -41,4 +42,5 @@ class ExperimentFile(Section):
     controller: dict[Name, ControllerSection] = Field(default_factory=dict)
     target: Annotated[TargetSection | None, BeforeValidator(given)] = None
     impacts: Annotated[ImpactsSection | None, BeforeValidator(given)] = None
+    cycle: Annotated[CycleSection | None, BeforeValidator(given)] = None
     figures: dict[Text, FigureSection] = Field(default_factory=dict)

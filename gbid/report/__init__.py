@@ -10,6 +10,7 @@ from typing import Any
 
 _MODULES = (
     "diagrams",
+    "loop.cycle_rounds",
     "loop.damping_map",
     "loop.eigenvalues",
     "loop.impact_bands",
@@ -76,6 +77,7 @@ __all__ = [
     "plot_bode",
     "plot_campbell",
     "plot_closed_loop",
+    "plot_cycle",
     "plot_damping_map",
     "plot_differential_pairing",
     "plot_eigenvalues",

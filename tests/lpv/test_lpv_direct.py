@@ -8,12 +8,14 @@ from still_rig import EXACT, FIXED, recorded
 from study_rig import PAPER, POINTS, truth_at
 
 import gbid
+from gbid.control import p_controller, sample_controller
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import gather
 from gbid.identify.problem.assembly import assemble, full_start
 from gbid.identify.problem.scaling import build_problem
 from gbid.identify.problem.ties import Ties
 from gbid.lpv import LPVModel
+from gbid.rig import SampledController
 from gbid.structure import KEY_PARAMETERS, Parameter, Plant, RotorBearing
 
 
@@ -167,6 +169,30 @@ def test_recordings_have_structures_of_their_own(one_point):
         gbid.fit_lpv_direct(one_point, start, structure={"r9": EXACT})
     with pytest.raises(UsageError, match=r"structure 'rotor_bearing' has no p1_x, .* which another has"):
         gbid.fit_lpv_direct(one_point, start, structure=own)
+
+
+@pytest.mark.slow
+def test_recordings_in_open_and_in_closed_loop_share_surfaces(one_point):
+    """The loops are simulated from what is injected: noise that the controller feeds back is no input."""
+    controller = sample_controller(p_controller(1.0, 0.9), 2e-4)
+    running = SampledController(controller.A, controller.B, controller.C, controller.D, 2e-4)
+    held = [recorded((5.0, 4000.0), i, controller=running) for i in (3, 4)]
+    loop = gbid.ClosedLoop(EXACT, controller, inputs="w", pade_order=1)
+    start, truth = constant(truth_at(5.0, 4000.0)), truth_at(5.0, 4000.0)
+    own = {recording.name: loop if recording in held else EXACT for recording in (*one_point, *held)}
+    found = gbid.fit_lpv_direct(
+        [*one_point, *held],
+        replace(start, coefficients={key: (1.01 * row[0], *row[1:]) for key, row in start.coefficients.items()}),
+        structure=own,
+        focus="simulation",
+        fixed=FIXED,
+        scatter=False,
+        engine="numpy",
+    )
+    assert found.success
+    std = np.sqrt(np.diag(found.covariance)).reshape(14, 6)[:, 0]
+    away = [(found.model.coefficients[key][0] - truth[key]) / s for key, s in zip(KEY_PARAMETERS, std, strict=True)]
+    assert np.abs(away).max() < 4
 
 
 def test_each_recordings_own_estimate_is_that_of_its_single_fit():

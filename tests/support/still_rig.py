@@ -10,7 +10,9 @@ FIXED = dict(PAPER.actuators)
 EXACT = Plant(RotorBearing(delay="exact"), outputs=("p",))
 
 
-def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, amplitude=1.5e-6, hold_s=4e-3, rng=None):
+def recorded(
+    point, number, *, n=600, scatter=0.0, noise=30e-9, amplitude=1.5e-6, hold_s=4e-3, rng=None, controller=None
+):
     """Short recording of a still rig's answer to a PRBS, every key parameter off its surface by a random share."""
     truth = truth_at(*point)
     if scatter:
@@ -27,4 +29,5 @@ def recorded(point, number, *, n=600, scatter=0.0, noise=30e-9, amplitude=1.5e-6
         conditions=conditions,
         seed=number,
         name=f"r{number}",
+        controller=controller,
     )

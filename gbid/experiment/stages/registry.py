@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.crossval.stage import CROSSVAL
+from gbid.experiment.stages.cycle.stage import CYCLE
 from gbid.experiment.stages.excite.stage import EXCITE
 from gbid.experiment.stages.figures.stage import FIGURES
 from gbid.experiment.stages.fit.stage import FIT
@@ -22,5 +23,5 @@ from gbid.experiment.stages.tune.stage import TUNE
 
 STAGES: tuple[Stage, ...] = (
     *(RIG, IMPORT, PREFILTER, FIT),
-    *(STATIC, CROSSVAL, NOMINAL, LPV, EXCITE, TUNE, TARGET, IMPACT, FIGURES),
+    *(STATIC, CROSSVAL, NOMINAL, LPV, EXCITE, TUNE, TARGET, IMPACT, CYCLE, FIGURES),
 )

@@ -15,6 +15,7 @@ from gbid.report.html.page import PageSection, Shown, Words
 from gbid.report.html.pictures import Pictures
 from gbid.report.html.render import render
 from gbid.report.html.sections.controller_section import controller_section
+from gbid.report.html.sections.cycle_section import cycle_section
 from gbid.report.html.sections.fits_section import fits_section
 from gbid.report.html.sections.impacts_section import impacts_section
 from gbid.report.html.sections.quality_section import quality_section
@@ -25,7 +26,7 @@ from gbid.report.html.sections.validation_section import nominal_section, valida
 from gbid.report.reader import Results
 
 NAME = "report.html"
-_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller")
+_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle")
 
 
 def write_report(job: Job, path: Path | None = None) -> Outcome:
@@ -77,6 +78,7 @@ def report_text(results: Results, key: str = "") -> str:
         surfaces_section(results, pictures),
         controller_section(results, pictures),
         impacts_section(results, pictures),
+        cycle_section(results),
     ]
     spec = results.experiment.spec
     sections = [_with_named(section, results, pictures) for section in middle if section is not None]

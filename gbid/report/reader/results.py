@@ -17,6 +17,8 @@ from gbid.experiment.recordings import load_made
 from gbid.experiment.run.job import Job
 from gbid.experiment.stages.crossval.rows import CrossvalRow
 from gbid.experiment.stages.crossval.stage import read_crossval, read_summary
+from gbid.experiment.stages.cycle.rows import CycleRow
+from gbid.experiment.stages.cycle.stage import made_rows
 from gbid.experiment.stages.impact.stage import loops_without_controller, study_tasks
 from gbid.experiment.stages.lpv.stage import read_surfaces
 from gbid.experiment.stages.nominal.stage import nominal_of
@@ -237,6 +239,11 @@ class Results:
         return StageResults(
             found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
         )
+
+    @cached_property
+    def cycle(self) -> list[CycleRow]:
+        """Rounds of the identification-for-control cycle; empty while it is not complete."""
+        return made_rows(self.job)
 
     @property
     def loops(self) -> list[dict[str, ImpactStudy]]:

@@ -97,12 +97,18 @@ def fit_entries(job: Job, name: str) -> list[TableEntry]:
 
 def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
     """Return the content key of a fit to recordings."""
+    settings = fit_settings(experiment, name, recordings)
+    return content_key("fit", settings, [fit_input_key(experiment, experiment.recordings[r]) for r in recordings])
+
+
+def fit_settings(experiment: Experiment, name: str, recordings: list[str]) -> dict[str, Any]:
+    """Return the settings of a fit to recordings for content keys."""
     section = experiment.spec.fits[name]
     settings = section.model_dump(exclude={"structure", "options", "recordings", "together"})
     settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings
-    return content_key("fit", settings, [fit_input_key(experiment, experiment.recordings[r]) for r in recordings])
+    return settings
 
 
 def fit_arguments(experiment: Experiment, name: str, data: Sequence[Recording]) -> dict[str, Any]:
@@ -151,8 +157,6 @@ def samples_of(recording: Recording, from_s: float, to_s: float) -> tuple[int, i
 
 def _write_fit(job: Job, item: str, part: Path) -> Made:
     name, _, model = item.partition("/")
-    structure = make_structure(job.experiment, name)
-    section = job.experiment.spec.fits[name]
     inputs, outputs = fit_channels(job.experiment, name)
     data = []
     for recording in recordings_of(job.experiment, name, model):
@@ -161,13 +165,23 @@ def _write_fit(job: Job, item: str, part: Path) -> Made:
         # The prefilter stage has checked prefiltered recordings already; only some kinds are checked here again.
         kinds = _OWN_KINDS if job.experiment.spec.prefilter else None
         refuse_bad_signals(planned, data[-1], [*inputs, *outputs], kinds=kinds, driving=inputs)
+    return save_made_fit(fitted(job, name, data), part)
+
+
+def fitted(job: Job, name: str, data: Sequence[Recording]) -> FitResult:
+    """Return the fit of a fits section to recordings, also to such that are not of this section."""
+    structure, section = make_structure(job.experiment, name), job.experiment.spec.fits[name]
     arguments = fit_arguments(job.experiment, name, data)
     if section.multi_start is None:
         result = fit(structure, data, progress=job.reporter.iteration, **arguments)
     else:
         options = section.multi_start.model_dump()
         result = fit_multistart(structure, data, **options, progress=job.reporter.iteration, **arguments).best
-    result = replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
+    return replace(result, notes=(*result.notes, *_suspects(job, name, result, data)))
+
+
+def save_made_fit(result: FitResult, part: Path) -> Made:
+    """Write the result of a fit and return its summary."""
     save_fit(result, part, overwrite=True)
     return Made(result.status, result.success, _smallest(result.fit_percent))
 

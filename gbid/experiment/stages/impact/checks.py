@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.problems import Found
+from gbid.experiment.problems import Found, Location
 from gbid.experiment.stages.impact.plan import (
     LOOPS,
     controller_at,
@@ -14,7 +14,7 @@ from gbid.experiment.stages.impact.plan import (
     loop_controllers,
     tuned_design,
 )
-from gbid.experiment.stages.impact.schema import ImpactPoint, ImpactsSection
+from gbid.experiment.stages.impact.schema import HammerTrain, ImpactPoint, ImpactsSection
 from gbid.experiment.stages.rig.model import rig_model
 
 LONGEST_IMPACT = 0.25
@@ -32,16 +32,7 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
             "needs the section rig; add one (for recordings of your own use gbid.fit_ringdown)",
         )
         return
-    if section.impact_s > LONGEST_IMPACT * section.spacing_s:
-        yield (
-            ("impacts", "spacing_s"),
-            f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it",
-        )
-    elif section.impact_s < 4 * experiment.spec.rig.sample_time_s:
-        yield (
-            ("impacts", "impact_s"),
-            f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it",
-        )
+    yield from timing_problems(section, experiment.spec.rig.sample_time_s, ("impacts",))
     try:
         domain, name = rig_model(experiment).domain, rig_model(experiment).name
         for axis in section.axes:
@@ -71,6 +62,20 @@ def impacts_can_be_made(experiment: Experiment) -> Found:
         if not outside:
             inside.append(point)
     yield from _controller_problems(experiment, section, inside)
+
+
+def timing_problems(section: HammerTrain, sample_time: float, where: Location) -> Found:
+    """Yield a problem when impacts are too long for the time between them, or too short to be measured."""
+    if section.impact_s > LONGEST_IMPACT * section.spacing_s:
+        yield (
+            (*where, "spacing_s"),
+            f"{section.spacing_s:g} s is too short for impacts of {section.impact_s:g} s; lengthen it",
+        )
+    elif section.impact_s < 4 * sample_time:
+        yield (
+            (*where, "impact_s"),
+            f"{section.impact_s:g} s is less than 4 samples; the force cannot be measured: lengthen it",
+        )
 
 
 def _controller_problems(experiment: Experiment, section: ImpactsSection, points: list[ImpactPoint]) -> Found:

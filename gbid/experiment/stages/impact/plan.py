@@ -12,7 +12,7 @@ from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import file_digest
 from gbid.experiment.plan import RIG_SIGNALS, PlannedRecording
 from gbid.experiment.problems import nearest
-from gbid.experiment.stages.impact.schema import ImpactPoint, ImpactsSection
+from gbid.experiment.stages.impact.schema import HammerTrain, ImpactPoint, ImpactsSection
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.lpv import LPVModel, load_model
 from gbid.rig import Hammer, Impact
@@ -109,7 +109,7 @@ def planned_impacts(experiment: Experiment) -> dict[str, ImpactRecording]:
     return found
 
 
-def hammer_of(section: ImpactsSection, axis: str, sample_time: float) -> Hammer:
+def hammer_of(section: HammerTrain, axis: str, sample_time: float) -> Hammer:
     """Return the impacts of a recording; their times lie between samples, as those of a real hammer."""
     times = [BEFORE_S + section.spacing_s * i + modf(_GOLDEN * i)[0] * sample_time for i in range(section.repeats)]
     impacts = tuple(Impact.along(axis, time, section.peak_n, section.impact_s) for time in times)
@@ -160,8 +160,19 @@ def controller_at(experiment: Experiment, point: ImpactPoint, loop: str = "close
         continuous = p_controller(design.kappa_x, design.kappa_y, design.lowpass_hz, design.lowpass_order)
         made = ControllerDesign("paper", None, {}, rig.sample_time_s, models={None: continuous})
         return LoopController(continuous, made.sampled_at(), made, repr(design))
-    path = controller_path(experiment, word)
-    made = load_controller(path)
+    return loop_controller(experiment, controller_path(experiment, word), point)
+
+
+def loop_controller(experiment: Experiment, path: Path, point: ImpactPoint) -> LoopController:
+    """Return the controller of a file at an operating point, as the rig runs it.
+
+    Raises
+    ------
+    UsageError
+        When the file is faulty, or its sample time is not that of the rig.
+    """
+    rig, made = experiment.spec.rig, load_controller(path)
+    assert rig is not None
     if abs(made.sample_time - rig.sample_time_s) > 1e-9 * rig.sample_time_s:
         raise UsageError(
             f"{path}: sample time is {made.sample_time:g} s, that of the rig {rig.sample_time_s:g} s; save it for that"

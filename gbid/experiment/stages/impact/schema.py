@@ -16,7 +16,22 @@ class ImpactPoint(Section):
     speed_rpm: NotNegative
 
 
-class ImpactsSection(Section):
+class HammerTrain(Section):
+    """Impacts along each axis, and how their ring-downs are fitted.
+
+    `repeats` is the number of impacts in a recording, `spacing_s` the time between them.
+    """
+
+    axes: Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)] = ("x", "y")
+    peak_n: Positive = 12.0
+    impact_s: Positive = 2e-3
+    repeats: Count = 5
+    spacing_s: Positive = 0.4
+    harmonics: CountOrZero | None = None
+    lags: Annotated[int, Strict(), Field(ge=0, le=6)] | Literal["auto"] = "auto"
+
+
+class ImpactsSection(HammerTrain):
     """Hammer impacts with and without a controller (paper, Sec. 5.1); see `gbid.fit_ringdown`, `gbid.validate_impact`.
 
     `controller`: ``paper`` is the controller in the model file of the rig, ``tuned`` the design of the
@@ -32,10 +47,3 @@ class ImpactsSection(Section):
     model: Text | None = None
     operating_points: Annotated[tuple[ImpactPoint, ...], Field(min_length=1)]
     loops: Annotated[tuple[Literal["open", "closed"], ...], Field(min_length=1)] = ("open", "closed")
-    axes: Annotated[tuple[Literal["x", "y"], ...], Field(min_length=1)] = ("x", "y")
-    peak_n: Positive = 12.0
-    impact_s: Positive = 2e-3
-    repeats: Count = 5
-    spacing_s: Positive = 0.4
-    harmonics: CountOrZero | None = None
-    lags: Annotated[int, Strict(), Field(ge=0, le=6)] | Literal["auto"] = "auto"

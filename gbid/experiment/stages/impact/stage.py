@@ -77,7 +77,7 @@ def study_tasks(job: Job) -> list[Task]:
     for name, group in _studies(job.experiment).items():
         names = tuple(q.planned.name for q in group)
         key = study_key(job.experiment, group)
-        tasks.append(Task("ringdown", name, job.path(FOLDER, name), key, _write_study, names, read=_read_made))
+        tasks.append(Task("ringdown", name, job.path(FOLDER, name), key, _write_study, names, read=read_made_study))
     return tasks
 
 
@@ -174,7 +174,7 @@ def _write_study(job: Job, name: str, part: Path) -> Made:
         loop=group[0].loop,
     )
     save_impacts(study, part, overwrite=True)
-    return _made(study)
+    return made_study(study)
 
 
 def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
@@ -182,7 +182,8 @@ def _made_recording(job: Job, impact: ImpactRecording) -> Recording:
     return load_checked(path, recording_key(job.experiment, impact), "gbid impact")
 
 
-def _made(study: ImpactStudy) -> Made:
+def made_study(study: ImpactStudy) -> Made:
+    """Return the summary of a study."""
     text = "; ".join([study.ringdown.status, *study.ringdown.notes])
     # a loop may damp so well that nothing oscillates; this is a valid result
     return Made(
@@ -190,8 +191,9 @@ def _made(study: ImpactStudy) -> Made:
     )
 
 
-def _read_made(path: Path) -> Made:
-    return _made(load_impacts(path))
+def read_made_study(path: Path) -> Made:
+    """Return the summary of an existing study."""
+    return made_study(load_impacts(path))
 
 
 def _csv_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:

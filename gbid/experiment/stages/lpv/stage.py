@@ -43,7 +43,7 @@ def _model_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
         return []
     item = last.item.removesuffix(_UNCERTAINTY)
     path = job.path(FOLDER, item, ".yaml")
-    return [Task("lpv", item, path, stored_key(last.path), _write_model, read=_read_status)]
+    return [Task("lpv", item, path, stored_key(last.path), _write_model, read=read_status)]
 
 
 def _direct_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
@@ -81,25 +81,34 @@ def read_surfaces(job: Job) -> dict[str, LPVFit]:
 
 def _write_uncertainty(job: Job, item: str, part: Path) -> Made:
     surfaces = Surfaces(job)
-    fit = surfaces.make(item.removesuffix(_UNCERTAINTY))
+    return write_surfaces(surfaces.make(item.removesuffix(_UNCERTAINTY)), part, surfaces.key)
+
+
+def write_surfaces(fit: LPVFit, part: Path, key: str) -> Made:
+    """Write the uncertainty of surfaces, with the text of the model file beside it."""
     with scratch_folder(part) as folder:
         file = folder / "model.yaml"
-        write_model(fit.model, file, comment=f"content_key: {surfaces.key}")
+        write_model(fit.model, file, comment=f"content_key: {key}")
         text = file.read_text(encoding="utf-8")
     with hdf5.writing(part, KIND, overwrite=True) as h5:
-        write_uncertainty(fit, h5, surfaces.key)
+        write_uncertainty(fit, h5, key)
         h5.attrs[_MODEL] = text
     return Made(fit.status)
 
 
 def _write_model(job: Job, item: str, part: Path) -> Made:
-    path = job.path(FOLDER, item)
+    return write_model_beside(job.path(FOLDER, item), part)
+
+
+def write_model_beside(path: Path, part: Path) -> Made:
+    """Write the model file whose text is in the file of the uncertainty."""
     with hdf5.reading(path, KIND) as file:
         part.write_text(str(hdf5.read_attribute(file, _MODEL)), encoding="utf-8")
-    return _read_status(path)
+    return read_status(path)
 
 
-def _read_status(path: Path) -> Made:
+def read_status(path: Path) -> Made:
+    """Return the summary of surfaces."""
     with hdf5.reading(path.with_suffix(".h5"), KIND) as file:
         success, status = (hdf5.read_attribute(file, name) for name in ("success", "status"))
     return Made(str(status), bool(success))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 from gbid.errors import UsageError
@@ -29,6 +30,8 @@ class Surfaces:
     ----------
     job : Job
         The job.
+    more : dict of str to TableEntry
+        Fits besides those of the experiment, such as those of recordings in closed loop, by their content keys.
 
     Raises
     ------
@@ -36,8 +39,8 @@ class Surfaces:
         When the experiment has no section ``lpv``.
     """
 
-    def __init__(self, job: Job) -> None:
-        self._job = job
+    def __init__(self, job: Job, more: Mapping[str, TableEntry] | None = None) -> None:
+        self._job, self._more = job, more or {}
         section = job.experiment.spec.lpv
         if section is None:
             raise UsageError("no section 'lpv'; add one")
@@ -47,7 +50,7 @@ class Surfaces:
     def key(self) -> str:
         """Content key of the section, the existing fits, and the actuators."""
         there = [entry.model for entry in self._entries if entry.result is not None]
-        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there]
+        keys = [model_key(self._job.experiment, self._section.fit, model) for model in there] + list(self._more)
         settings = {**self._section.model_dump(), "models": there, "found_actuators": self._actuators}
         return content_key("lpv", settings, keys)
 
@@ -66,7 +69,7 @@ class Surfaces:
         if all(entry.result is None for entry in self._entries):
             raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
         return fit_lpv(
-            tabulate(self._entries),
+            tabulate([*self._entries, *self._more.values()]),
             weighting=section.weighting,
             order=section.order,
             robust=section.robust,

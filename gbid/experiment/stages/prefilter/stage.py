@@ -19,7 +19,15 @@ from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
-from gbid.prefilter import RunoutMap, align_index, compare_runout, identify_runout, prefilter, save_prefilter
+from gbid.prefilter import (
+    PrefilterReport,
+    RunoutMap,
+    align_index,
+    compare_runout,
+    identify_runout,
+    prefilter,
+    save_prefilter,
+)
 from gbid.prefilter.align import refuse_lost_index
 from gbid.prefilter.prefilter_store import add_report, read_report
 from gbid.prefilter.residual import leftover_words
@@ -62,7 +70,7 @@ def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
     """Return the content key of a prefiltered recording."""
     section = experiment.spec.prefilter
     assert section is not None
-    sources = [recording_key(experiment, planned), *_stationary_keys(experiment, planned.point)]
+    sources = [recording_key(experiment, planned), *stationary_keys(experiment, planned.point)]
     return content_key("prefilter", {"name": planned.name, **section.model_dump()}, sources)
 
 
@@ -88,22 +96,48 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
 
 
 def _write_prefiltered(job: Job, name: str, part: Path) -> None:
-    section, planned = job.experiment.spec.prefilter, job.experiment.recordings[name]
-    assert section is not None
-    try:
-        runout_map = _runout_map(job, planned.point)
-    except DataError as error:
-        raise type(error)(f"no run-out map: {error}") from None
+    planned = job.experiment.recordings[name]
+    runout_map = _stated_map(job, planned.point)  # first, because without it nothing can be done
     raw = load_made(job, planned)
     driving = driving_channels(job.experiment, planned.name)
     refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
+    filtered, report = _filtered(job, planned, raw, runout_map)
+    save_recording(filtered, part, overwrite=True)
+    add_report(part, report)
+
+
+def filtered_input(job: Job, planned: PlannedRecording, raw: Recording) -> Recording:
+    """Return a recording that is not one of the experiment as its fits use it: filtered with the map of its point.
+
+    Raises
+    ------
+    DataError
+        When there is no run-out map of its operating point.
+    """
+    if job.experiment.spec.prefilter is None:
+        return raw
+    return _filtered(job, planned, raw, _stated_map(job, planned.point))[0]
+
+
+def _stated_map(job: Job, point: str) -> RunoutMap | None:
+    try:
+        return _runout_map(job, point)
+    except DataError as error:
+        raise type(error)(f"no run-out map: {error}") from None
+
+
+def _filtered(
+    job: Job, planned: PlannedRecording, raw: Recording, runout_map: RunoutMap | None
+) -> tuple[Recording, PrefilterReport]:
+    section = job.experiment.spec.prefilter
+    assert section is not None
     if runout_map is not None and runout_map.needs_angle:
         refuse_bad_signals(planned, raw, ["phi"], kinds=("encoder",))
         if section.align_index:
             raw = align_index(runout_map, raw).apply(raw)
         else:
             refuse_lost_index(runout_map, raw)
-    filtered, report = prefilter(
+    return prefilter(
         raw,
         runout_map,
         spikes=section.spikes,
@@ -111,8 +145,6 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
         remove_mean=section.remove_mean,
         any_condition=planned.point == NO_POINT,
     )
-    save_recording(filtered, part, overwrite=True)
-    add_report(part, report)
 
 
 def _write_map(job: Job, item: str, part: Path) -> Made:
@@ -175,7 +207,8 @@ def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:
     return there
 
 
-def _stationary_keys(experiment: Experiment, point: str) -> list[Any]:
+def stationary_keys(experiment: Experiment, point: str) -> list[Any]:
+    """Return the content keys of the stationary recordings behind the run-out map of an operating point."""
     section = experiment.spec.prefilter
     if section is None or section.method == "none":
         return []

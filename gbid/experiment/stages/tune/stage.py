@@ -55,7 +55,7 @@ from gbid.experiment.stages.tune.plan import (
     with_actuators,
 )
 from gbid.experiment.stages.tune.schema import ControllerSection, RobustSection
-from gbid.lpv import LPVModel, ProportionalDesign, load_lpv_fit
+from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, load_lpv_fit
 
 PUBLISHED = "published"
 """Name of the published controller in tables of designs."""
@@ -68,7 +68,7 @@ def design_tasks(job: Job) -> Work:
     for name, section in job.experiment.spec.controller.items():
         path = job.path(TUNED, name)
         try:
-            work.append(Task("tune", name, path, _design_key(job, section, surfaces), _tune, read=_read_made))
+            work.append(Task("tune", name, path, _design_key(job, section, surfaces), _tune, read=read_design_summary))
         except GbidError as error:
             work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
     return work
@@ -127,12 +127,25 @@ def _design_key(job: Job, section: ControllerSection, surfaces: dict[str, str]) 
     item = surfaces_item(experiment, section)
     if item is None:
         model = named_model(experiment, section)
-        sources, published = [], published_design(experiment, model)
-    elif item in surfaces:
-        model, sources = None, [surfaces[item]]
-        published = published_design(experiment, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")).model)
-    else:
-        raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
+        return _key_of(experiment, section, published_design(experiment, model), model=model)
+    if item in surfaces:
+        return key_from_surfaces(experiment, section, job.path(LPV_FOLDER, item, ".yaml"))
+    raise InputError(f"there are no surfaces {item!r} made from the present fits; run `gbid lpv` or `gbid run`")
+
+
+def key_from_surfaces(experiment: Experiment, section: ControllerSection, path: Path) -> str:
+    """Return the content key of a design for the surfaces in a model file."""
+    published = published_design(experiment, load_lpv_fit(path).model)
+    return _key_of(experiment, section, published, sources=[stored_key(path)])
+
+
+def _key_of(
+    experiment: Experiment,
+    section: ControllerSection,
+    published: ProportionalDesign | None,
+    model: LPVModel | None = None,
+    sources: Sequence[str] = (),
+) -> str:
     settings = {
         **section.model_dump(),
         "text": structure_text(experiment, section).decode(errors="replace"),
@@ -149,7 +162,11 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
     item = surfaces_item(job.experiment, section)
     if item is None:
         return named_model(job.experiment, section), None
-    fit = load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml"))
+    return plant_of_surfaces(section, load_lpv_fit(job.path(LPV_FOLDER, item, ".yaml")))
+
+
+def plant_of_surfaces(section: ControllerSection, fit: LPVFit) -> tuple[LPVModel, Uncertainty | None]:
+    """Return the model of a design for some surfaces, and its uncertainty when the section wants other plants."""
     model, drawn = with_actuators(fit.model), section.uncertainty
     if section.robust is not None:
         return model, Uncertainty(fit.covariance, scatter=fit.scatter)
@@ -161,8 +178,19 @@ def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncert
 
 
 def _tune(job: Job, name: str, part: Path) -> Made:
+    design = designed(job, name, *design_plant(job, controller_section(job.experiment, name)))
+    return save_design(design, part)
+
+
+def save_design(design: TunedDesign, part: Path) -> Made:
+    """Write a design and return its summary."""
+    save_tuned(design, part, overwrite=True)
+    return _made(design)
+
+
+def designed(job: Job, name: str, model: LPVModel, plants: Uncertainty | None) -> TunedDesign:
+    """Return a design of the controller section, tuned for a model and its uncertainty."""
     experiment, section = job.experiment, controller_section(job.experiment, name)
-    model, plants = design_plant(job, section)
     structure, goals = design_structure(experiment, section, model.domain), design_goals(job, section)
 
     def progress(step: SearchStep) -> None:
@@ -187,7 +215,7 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         if section.pareto:
             others = pareto(model, section.pareto, goals=without_cap(section, goals) if goals else None, **options)
             front = tuple(map(CappedDesign, others.caps, others.designs))
-    design = TunedDesign(
+    return TunedDesign(
         name,
         model.name,
         result,
@@ -198,8 +226,6 @@ def _tune(job: Job, name: str, part: Path) -> Made:
         section.method,
         promises,
     )
-    save_tuned(design, part, overwrite=True)
-    return _made(design)
 
 
 def _robust(
@@ -268,14 +294,19 @@ def _made(design: TunedDesign) -> Made:
     return Made("; ".join([text, *stuck]), converged=False)
 
 
-def _read_made(path: Path) -> Made:
+def read_design_summary(path: Path) -> Made:
+    """Return the summary of an existing design."""
     return _made(load_tuned(path))
 
 
 def _write_controller(job: Job, name: str, part: Path) -> None:
-    section = controller_section(job.experiment, name)
-    design = load_tuned(job.path(TUNED, name))
-    model, _ = design_plant(job, section)
+    model, _ = design_plant(job, controller_section(job.experiment, name))
+    write_controller_of(job, name, job.path(TUNED, name), model, part)
+
+
+def write_controller_of(job: Job, name: str, path: Path, model: LPVModel, part: Path) -> None:
+    """Write the controller file of the design `name` that is stored at a path, made for a model."""
+    section, design = controller_section(job.experiment, name), load_tuned(path)
     structure = design_structure(job.experiment, section, model.domain)
     result = design.result
     provenance: dict[str, str | float] = {
@@ -303,8 +334,7 @@ def _write_controller(job: Job, name: str, part: Path) -> None:
             provenance=provenance,
         )
         text = file.read_text(encoding="utf-8")
-    key = stored_key(job.path(TUNED, name))
-    part.write_text(f"# content_key: {key}\n{text}", encoding="utf-8")
+    part.write_text(f"# content_key: {stored_key(path)}\n{text}", encoding="utf-8")
 
 
 TUNE = Stage("tune", "controller", (designs_can_be_tuned,), design_tasks, (_file_tasks,))

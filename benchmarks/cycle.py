@@ -1,0 +1,48 @@
+"""Run the identification-for-control cycle of an experiment; print its rounds, store the numbers.
+
+``python -m benchmarks.cycle [EXPERIMENT] [--output FILE]``
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+import gbid
+from gbid.campaign.run import run_campaign, working
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.stage import run_stage
+from gbid.experiment.stages.cycle.stage import made_rows
+from gbid.experiment.stages.registry import STAGES
+from gbid.report.tables.cycle_tables import cycle_documents, cycle_summary
+from gbid.tables.markdown import markdown_table
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the study."""
+    parser = argparse.ArgumentParser(prog="benchmarks.cycle", description="Run the cycle of an experiment.")
+    parser.add_argument("experiment", type=Path, nargs="?", default=Path("experiments/cycle.yaml"))
+    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as folder:
+        experiment = load_experiment(options.experiment, Path(folder) / "results")
+        with working(experiment, engine="serial") as job:
+            run_campaign(job)
+            for stage in STAGES:
+                if not stage.early:
+                    run_stage(job, stage)
+            rows = made_rows(job)
+    if options.output:
+        run = {"gbid": gbid.__version__, "experiment": experiment.spec.name, "rows": [asdict(row) for row in rows]}
+        options.output.write_text(json.dumps(run, indent=2) + "\n", encoding="utf-8")
+    print(markdown_table(cycle_summary(cycle_documents(rows))))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
