@@ -38,9 +38,7 @@ def before_values() -> dict[str, float]:
 
 
 def _fitted(structure: Any, recording: gbid.Recording, **options: Any) -> Found:
-    known = before_values()
-    start = {q.name: known[q.name] for q in structure.parameters if q.name in known}
-    result = gbid.fit(structure, recording, start=start, **options)
+    result = gbid.fit(structure, recording, **options)
     return result.parameters, result.std, result.success
 
 
@@ -91,14 +89,14 @@ def measure(case: LoopCase, way: str, recordings: Sequence[gbid.Recording]) -> d
         if std is not None:
             errors.append(off / np.array([std[name] for name in KEY_PARAMETERS]))
     seconds = (time.process_time() - began) / len(recordings)
-    found: dict[str, Any] = {"failed": failed, "seconds": seconds}
+    found: dict[str, Any] = {"recordings": len(recordings), "failed": failed, "seconds": seconds}
     if not rows:
         return found
     size = np.array([_size(case, name) for name in KEY_PARAMETERS])
     off = np.array(rows) / size
     found["bias"] = float(100 * np.sqrt((off.mean(axis=0) ** 2).mean()))
     found["scatter"] = float(100 * np.sqrt(off.var(axis=0).mean()))
-    found["worst_bias"] = {name: float(100 * v) for name, v in zip(KEY_PARAMETERS, off.mean(axis=0), strict=True)}
+    found["biases"] = {name: float(100 * v) for name, v in zip(KEY_PARAMETERS, off.mean(axis=0), strict=True)}
     if errors:
         t = np.abs(np.array(errors))
         found |= {"within_2": float((t < 1.96).mean()), "within_3": float((t < 3).mean())}
@@ -123,6 +121,21 @@ def study(seeds: int, cases: Sequence[LoopCase] = CASES) -> dict[str, Any]:
     return run
 
 
+def study_table(run: Mapping[str, Any]) -> str:
+    """Return the figures of all cases as Markdown."""
+    lines = [
+        "| recordings | way | bias % | scatter % | within 1.96 std | within 3 std | s a fit | failed |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for case, ways in run["cases"].items():
+        for way, f in ways.items():
+            size = [f"{f[key]:.2f}" if key in f else "" for key in ("bias", "scatter")]
+            shares = [f"{100 * f[key]:.1f} %" if key in f else "" for key in ("within_2", "within_3")]
+            cells = [f"{case} ({f['recordings']})", way, *size, *shares, f"{f['seconds']:.1f}", str(f["failed"])]
+            lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", f"Recordings of each case in brackets; {run['date']}, gbid {run['gbid']}."])
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
     parser = argparse.ArgumentParser(prog="benchmarks.closed_loop_study", description=__doc__)
@@ -133,6 +146,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cases = [case for case in CASES if not options.case or case.name in options.case]
     with one_blas_thread():
         run = study(options.seeds, cases)
+    print(study_table(run))
     if options.output:
         if options.output.is_file():  # other cases of an earlier run stay
             run["cases"] = {**json.loads(options.output.read_text(encoding="utf-8"))["cases"], **run["cases"]}

@@ -19,6 +19,7 @@ from gbid.identify.robust.reweighting import Reweighted
 from gbid.identify.uncertainty.bootstrap import Bootstrap
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less, not_determined
+from gbid.identify.uncertainty.feedback_test import feedback_notes
 from gbid.identify.uncertainty.model_spreads import model_spreads
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
@@ -156,6 +157,7 @@ def outcome(
             *_notes(assembly, begin, free, on_bound, found, trusted, coloured),
             *_doubts(problem, theta, structure, assembly, found),
             *(may_cover_less(found.models, model.modes(), data.sample_time, n) if coloured else ()),
+            *(feedback_notes(data.records, by_record) if coloured and finite and options.horizon == 1 else ()),
             *_edge_note(problem, theta),
             *_light_note(light),
         ),

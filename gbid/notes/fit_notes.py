@@ -132,3 +132,11 @@ class FitNote(NoteKind):
         "With half the step of the integrator, an estimate would move by more than a tenth of its standard deviation.",
         "Take more steps in a sample (steps=... of the structure), or integrator='implicit' for a stiff one.",
     )
+    FEEDBACK = Explanation(
+        "GB121",
+        "errors come back in the inputs",
+        "The recording was made in closed loop, and the noise model is too poor for a direct fit: the input contains "
+        "past errors, which are not white. The fit takes them for the response of the plant: estimates are biased.",
+        "Free a disturbance gain (disturbance_gain='states', focus='prediction'), or fit gbid.ClosedLoop to what was "
+        "injected.",
+    )

@@ -126,3 +126,35 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(UsageError, match="both have direct feedthrough"):
         gbid.ClosedLoop(direct, law)
     assert isinstance(gbid.ClosedLoop(direct, law, sample_time=H).controller_model(), LinearModel)
+
+
+def test_errors_that_come_back_in_the_input_are_noted():
+    """Noise with a memory, fed back by a controller: simulation is biased and says so, others are not."""
+    truth = {**MODE_AT, "l1": 3.0, "l2": 8.0}
+    plant, rng = evaluate(MODE, truth).discretise(H), np.random.default_rng(3)
+    found = {}
+    for gain in (0.0, 0.3):
+        w, x, last = levels(2500), np.zeros(2), 0.0
+        signals = {name: np.zeros((len(w), 1)) for name in "uyw"}
+        for k in range(len(w)):
+            e = 1.0 * rng.standard_normal()
+            y, u = plant.C[0] @ x + e, w[k, 0] + last
+            signals["u"][k], signals["y"][k], signals["w"][k] = u, y, w[k, 0]
+            x, last = plant.A @ x + plant.B[:, 0] * u + plant.K[:, 0] * e, gain * y
+        found[gain] = gbid.Recording(signals, H)
+    held = {"l1": 0.0, "l2": 0.0}
+    noted = {
+        name: any("GB121" in note for note in gbid.fit(structure, found[gain], start=truth, **options).notes)
+        for name, gain, structure, options in (
+            ("open", 0.0, MODE, {"focus": "simulation"}),
+            ("naive", 0.3, MODE, {"focus": "simulation"}),
+            ("direct", 0.3, MODE, {}),
+            ("indirect", 0.3, gbid.ClosedLoop(MODE, _gain(0.3)), {"focus": "simulation", "fixed": held}),
+        )
+    }
+    assert noted == {"open": False, "naive": True, "direct": False, "indirect": False}
+
+
+def _gain(value):
+    none = np.zeros((0, 0))
+    return LinearModel(none, np.zeros((0, 1)), np.zeros((1, 0)), np.array([[value]]), dt=H, name="gain")
