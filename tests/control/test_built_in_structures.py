@@ -12,6 +12,8 @@ from gbid.control import MaxDamping, PeakSensitivity, close_loop, controller_at,
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.control.controllers.structures import controller_structure
+from gbid.control.tuning.plants.model_loops import checked_models
+from gbid.errors import UsageError
 from gbid.target import chain_of, write_chain
 
 MODEL = gbid.load_model("theisen2016")
@@ -110,6 +112,25 @@ def test_files_and_c_code(kind: str, tmp_path: Path) -> None:
     np.testing.assert_allclose(sampled.A, known.A, rtol=1e-9, atol=1e-12)
     chain = chain_of(design)
     assert all(path.is_file() for path in write_chain(chain, tmp_path / "c"))
+
+
+def test_bounds_of_full_pd_are_symmetric_and_checked() -> None:
+    form = controller_structure("full PD", kd_limit_ms=2.0)
+    kappas = {(p.lower, p.upper) for p in form.parameters if p.name.startswith("kappa")}
+    assert kappas == {(-3.0, 3.0)}
+    for wrong in ({"lowpass_hz": -1.0}, {"axes": ("x", "x")}):
+        with pytest.raises(UsageError):
+            controller_structure("full PD", **wrong)
+
+
+def test_chosen_channels_keep_their_delay() -> None:
+    two = gbid.LinearModel(
+        [[-2.0]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], B_delayed=[[1.0, 5.0]], delay=[0.1, 0.3],
+        input_names=("a", "b"), output_names=("p",),
+    )  # fmt: skip
+    (plant,) = checked_models([two], controller_structure("P", axes=("",)), ["b"], None)
+    np.testing.assert_array_equal(plant.B_delayed, [[5.0]])
+    np.testing.assert_array_equal(plant.delay, [0.3])
 
 
 def test_one_axis_has_plain_names() -> None:

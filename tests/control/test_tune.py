@@ -316,8 +316,9 @@ def test_pareto_front_rises_and_holds_the_papers_design() -> None:
     assert front.caps == (1.6, own, 2.6)
     assert list(front.values) == sorted(front.values)
     assert front.values[1] == pytest.approx(0.318, abs=5e-4)
-    with pytest.raises(UsageError, match="above 1"):
-        gbid.pareto(MODEL, [0.9])
+    for cap in (0.9, 1.0):
+        with pytest.raises(UsageError, match="above 1"):
+            gbid.pareto(MODEL, [cap])
 
 
 def test_benchmark_runs(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -7,6 +7,7 @@ from fit_cases import EVERY, EVERY_AT, MODE, MODE_AT, H, innovations, levels, si
 import gbid
 from gbid.errors import UsageError
 from gbid.identify import fit
+from gbid.identify.disturbances.asked import asked_disturbances
 from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.identify.disturbances.walking_model import with_walking_offsets
 from gbid.structure import evaluate
@@ -124,6 +125,16 @@ def test_the_walking_model_predicts_as_the_fit_did():
     error = rec.signal("y") - model.predict(rec.signal("u"), rec.signal("y"), H, initial_state=first)
     assert float((error[300:] ** 2).mean()) == pytest.approx(result.loss, rel=0.1)
     assert gbid.check_residuals(result, rec).white.all()
+
+
+def test_the_walking_model_keeps_delays():
+    delayed = gbid.LinearModel([[-2.0]], [[0.0]], [[1.0]], [[0.0]], B_delayed=[[2.0]], delay=[0.3])
+    model = with_walking_offsets(
+        delayed, asked_disturbances("random walk", (), False, ("y",), H, "prediction"), {"walk_y": 0.1}
+    )
+    np.testing.assert_array_equal(model.B_delayed, [[2.0], [0.0]])
+    u = levels(200)
+    np.testing.assert_allclose(model.simulate(u, H), delayed.simulate(u, H), atol=1e-12)
 
 
 # ---- around the fit ----

@@ -169,6 +169,12 @@ def test_a_delay_is_found_to_the_sample(tau, hold):
     assert found.delay_s == pytest.approx(int(tau / H + 1e-9) * H)
 
 
+def test_a_delay_at_the_end_of_the_search_is_found():
+    rec = simulated(LAG, {"tau": 1.25}, levels(3000), noise=0.02, seed=4)
+    found = estimate_delay(rec, longest_s=estimate_delay(rec).lag * H)
+    assert found.lag == len(found.correlation) - 1 == int(1.25 / H + 1e-9) + 1
+
+
 def test_the_correlation_has_the_shape_of_the_impulse_response():
     rec = simulated(LAG, {"tau": 0.0}, np.random.default_rng(2).normal(size=(20_000, 1)))
     found = estimate_delay(rec)

@@ -18,6 +18,7 @@ from gbid.prefilter import (
     prefilter,
     runout_residual,
 )
+from gbid.prefilter.align import refuse_lost_index
 from gbid.recording import Recording
 from gbid.rig import Faults, NonSynchronous, Prbs, SensorChain, Stationary, record
 
@@ -101,6 +102,7 @@ def test_a_shaft_at_rest_has_its_mean_only():
     still = rig(Stationary(1.0), "still", speed=0.0)
     found = compare_runout(still)
     assert (found.chosen.method, found.runout_map.method) == ("mean", "mean")
+    assert found.chosen.residual_rms == pytest.approx(still.signal("p").std(axis=0), rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -131,6 +133,7 @@ def test_runout_residual_measures_noise_and_a_line_beside_it():
     assert left.non_synchronous[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
     assert left.line_rms[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
     assert left.over_noise[1] == pytest.approx(1.0, abs=0.03)
+    np.testing.assert_allclose(left.non_synchronous, np.sqrt(np.maximum(left.rms**2 - left.noise**2, 0.0)), rtol=1e-9)
 
 
 @pytest.mark.parametrize("pressure", [3.0, 5.0, 7.0])
@@ -229,6 +232,9 @@ def test_missing_index_is_found_from_the_run_out(experiment, method):
     true, _ = prefilter(rec, made, median=1)
     ours, _ = prefilter(aligned, made, median=1)
     assert np.abs(ours.signal("p") - true.signal("p")).max() < 30e-9
+    with pytest.raises(DataError, match="but rotated by"):
+        refuse_lost_index(made, lost)
+    refuse_lost_index(made, rec)
     # not aligned, the map does harm instead
     assert prefilter(lost, made)[1].runout_share.max() < prefilter(rec, made)[1].runout_share.min()
 

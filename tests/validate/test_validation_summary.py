@@ -222,6 +222,9 @@ def test_equal_fits_and_single_pairs():
     same = summarise(replace(scores, fit_percent=np.full((2, 2), 99.0)))
     np.testing.assert_array_equal(same.std, 0)
     assert same.counts.sum() == 4
+    np.testing.assert_allclose(same.edges[:, [0, -1]], [[98.5, 99.5]] * 2)
+    poor = np.array([[-1e6, -1e6], [-1e6 + 1e-4, -1e6 + 1e-4]])  # equal up to rounding
+    assert np.ptp(summarise(replace(scores, fit_percent=poor)).edges) == pytest.approx(1.0, abs=1e-3)
     assert np.isnan(summarise(some_scores(2)).points[0].std).all()
     with pytest.raises(UsageError, match="bins = 0"):
         summarise(scores, bins=0)
