@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -184,13 +184,19 @@ class Predictor(GeneralPredictor):
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
         n_p = len(self.free)
-        flat, jacobian = (np.asarray(m, float) for m in self._function(theta))
-        flat = flat[:, 0]
+        flat = np.empty(self._function.nnz_out(0))
+        jacobian = np.empty((n_p, len(flat)))  # CasADi stacks columns
+        buffer: Any
+        buffer, call = self._function.buffer()  # a tenth of the time that a call with matrices of CasADi takes
+        buffer.set_arg(0, np.ascontiguousarray(theta, float).data)
+        buffer.set_res(0, flat.data)
+        buffer.set_res(1, jacobian.reshape(-1).data)
+        call()
         result, start = [], 0
-        for rows, columns in self._shapes:  # CasADi stacks columns
+        for rows, columns in self._shapes:
             stop = start + rows * columns
             value = flat[start:stop].reshape(columns, rows).T
-            slope = jacobian[start:stop].T.reshape(n_p, columns, rows).transpose(0, 2, 1)
+            slope = jacobian[:, start:stop].reshape(n_p, columns, rows).transpose(0, 2, 1)
             result.append(Dual(np.ascontiguousarray(value), np.ascontiguousarray(slope)))
             start = stop
         return result

@@ -105,6 +105,11 @@ class Blocks:
         return int(self.window_size.sum())
 
     @cached_property
+    def followed(self) -> IntArray:
+        """Blocks with another one after them in their window."""
+        return np.setdiff1d(np.arange(self.n_blocks), self.window_first) - 1
+
+    @cached_property
     def by_window(self) -> tuple[IntArray, BoolArray]:
         """Indices of the blocks of each window, (n_windows, per_window), and a mask of its own blocks."""
         place = np.arange(self.per_window)

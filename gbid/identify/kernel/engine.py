@@ -88,6 +88,7 @@ class CompiledEngine:
     """
 
     def __init__(self, samples: list[PredictorValues]) -> None:
+        self._known: PredictorValues | None = None
         self._build(_pattern(samples))
 
     def _build(self, pattern: KernelPattern) -> None:
@@ -100,9 +101,11 @@ class CompiledEngine:
 
     def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
         """Rebuild the kernel if the predictor has new nonzeros; return the regressors."""
-        met = pattern_of(v)
-        if not self._pattern.covers(met):
-            self._build(self._pattern.union(met))
+        if v is not self._known:  # a gradient runs four passes of one predictor
+            met = pattern_of(v)
+            if not self._pattern.covers(met):
+                self._build(self._pattern.union(met))
+            self._known = v
         if blocks.lanes != LANES:
             raise UsageError(f"the compiled pass needs {LANES} blocks in a group, not {blocks.lanes}")
         return blocks.z(v.shift)

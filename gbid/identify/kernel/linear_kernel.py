@@ -78,15 +78,15 @@ class LinearKernel:
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
         entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
         """
-        prediction = self.predict(v, blocks, starts)
+        transition = np.linalg.matrix_power(v.F, blocks.length)
+        prediction = self.run.predict(v, blocks, starts_of_blocks(v, blocks, starts, transition, self.run))
         weighted = weight @ prediction.errors * blocks.used[:, :, None]
         at_end = np.zeros((len(v.F), len(blocks.size)))
         at_end[:, blocks.window_first + blocks.window_size - 1] = ends.T
         at_start, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
         if blocks.per_window > 1:
-            at_start = _back_along_windows(blocks, at_start, powers_of(v.F, blocks.length)[-1])
-            followed = np.setdiff1d(np.arange(blocks.n_blocks), blocks.window_first) - 1
-            at_end[:, followed] = at_start[:, followed + 1]
+            at_start = _back_along_windows(blocks, at_start, transition)
+            at_end[:, blocks.followed] = at_start[:, blocks.followed + 1]
             _, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
         return _by_parameters(v, sums), at_start[:, blocks.window_first].T
 
@@ -147,10 +147,6 @@ def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray)
 
 def _by_parameters(v: PredictorValues, sums: FloatArray) -> FloatArray:
     """Return derivatives by the predictor's parameters from those by the entries of its matrices."""
-    n = len(v.F)
-    return np.asarray(
-        np.tensordot(v.dF, sums[:n, :n], 2)
-        + np.tensordot(v.dG, sums[:n, n:], 2)
-        + np.tensordot(v.dC, sums[n:, :n], 2)
-        + np.tensordot(v.dH, sums[n:, n:], 2)
-    )
+    n, n_p = len(v.F), len(v.dF)
+    pairs = ((v.dF, sums[:n, :n]), (v.dG, sums[:n, n:]), (v.dC, sums[n:, :n]), (v.dH, sums[n:, n:]))
+    return np.asarray(sum(slopes.reshape(n_p, -1) @ own.ravel() for slopes, own in pairs))
