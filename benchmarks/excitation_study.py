@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ import numpy as np
 
 import gbid
 from gbid.errors import DataError
-from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, rig_limits
+from gbid.excite import ExcitationLimits, KnownModel, expected_covariance, recording_length, rig_limits
 from gbid.rig import Machine, Played, Prbs, Scatter, SensorChain, Unbalance, record
 from gbid.structure import KEY_PARAMETERS, Plant, RotorBearing
 
@@ -124,6 +125,52 @@ def wall(truth: dict[str, float], conditions: dict[str, float], draws: int, opti
     }
 
 
+def of_length(seeds: int) -> dict[str, Any]:
+    """Return how long a recording must be for given targets with the noise of the paper's rig, tried by fits."""
+    model = gbid.load_model("theisen2016")
+    point = {"pressure_bar": POINTS[0][0], "speed_rpm": POINTS[0][1]}
+    truth = {name: float(v) for name, v in model.key_parameters(*POINTS[0]).items()} | model.actuators
+    actuators = {name: truth[name] for name in model.actuators}  # known from other recordings, as in the paper
+    known = KnownModel(STRUCTURE, truth, np.array([45e-9, 45e-9, 0.65e-6, 0.5e-6]), fixed=tuple(actuators))
+    limits = ExcitationLimits({name: value / 3 for name, value in PEAKS.items()}, {"p": RADIUS["p"] / 3})
+    found = recording_length(
+        known, sample_time=DT, limits=limits, relative={"damping_*": 0.01}, absolute={"tau_*": 5e-6}
+    )
+    sensors = replace(QUIET, noise_p=(0.65e-6, 0.5e-6), noise_u=45e-9)
+    machine = Machine.from_parameters(truth, truth, Unbalance(0.0), sensors)
+    played = Played(found.excitation.signals["r"], DT, "design")
+    modes = np.array(known.model.modes())[:, 1]
+    errors: dict[str, list[float]] = {name: [] for name in found.targets}
+    for seed in range(seeds):
+        recording = record(machine, played, conditions=point, seed=seed, name="length")
+        fit = gbid.fit(STRUCTURE, recording, start=truth_of(truth), fixed=actuators)
+        assert fit.success, (fit.status, fit.notes)
+        own = {f"damping_{i + 1}": z - modes[i] for i, (_, z) in enumerate(fit.model.modes())}
+        own |= {name: fit.parameters[name] - truth[name] for name in ("tau_x", "tau_y")}
+        for name, of_name in errors.items():
+            of_name.append(own[name])
+    return {
+        "seeds": seeds,
+        "duration_s": found.duration_s,
+        "decisive": found.decisive,
+        "targets": {name: float(value) for name, value in found.targets.items()},
+        "expected": {name: found.excitation.std[name] for name in errors},
+        "obtained": {name: float(np.sqrt(np.mean(np.square(own)))) for name, own in errors.items()},
+    }
+
+
+def length_summary(stored: dict[str, Any]) -> str:
+    """Return the length for the targets as a sentence and a Markdown table."""
+    length = stored["length"]
+    rows = ["| quantity | wanted std | expected | obtained |", "|---|---|---|---|"]
+    for name, wanted in length["targets"].items():
+        rows.append(f"| {name} | {wanted:.3g} | {length['expected'][name]:.3g} | {length['obtained'][name]:.3g} |")
+    text = (
+        f"{length['duration_s']:g} s are needed, because of {length['decisive']}. Fits to {length['seeds']} recordings:"
+    )
+    return text + "\n\n" + "\n".join(rows)
+
+
 def summary(stored: dict[str, Any]) -> str:
     """Return the study as a Markdown table."""
     heads = (
@@ -145,16 +192,28 @@ def summary(stored: dict[str, Any]) -> str:
 
 
 def main() -> None:
+    """Make the study and write it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=60)
     parser.add_argument("--draws", type=int, default=334, help="at each operating point")
+    parser.add_argument("--only", choices=("points", "length"), help="make this part, and keep the other")
     parser.add_argument("--out", type=Path, default=OUT)
     arguments = parser.parse_args()
-    points = []
-    for point in POINTS:
-        points.append(of_point(point, arguments.seeds, arguments.draws))
-        arguments.out.write_text(json.dumps({"points": points}, indent=1) + "\n", encoding="utf-8")
-    print(summary({"points": points}))
+    stored = json.loads(arguments.out.read_text(encoding="utf-8")) if arguments.out.is_file() else {}
+
+    def keep() -> None:
+        arguments.out.write_text(json.dumps(stored, indent=1) + "\n", encoding="utf-8")
+
+    if arguments.only != "points":
+        stored["length"] = of_length(arguments.seeds)
+        keep()
+        print(length_summary(stored))
+    if arguments.only != "length":
+        stored["points"] = []
+        for point in POINTS:
+            stored["points"].append(of_point(point, arguments.seeds, arguments.draws))
+            keep()
+        print(summary(stored))
 
 
 if __name__ == "__main__":
