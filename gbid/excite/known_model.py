@@ -103,7 +103,12 @@ class KnownModel(Brief):
             object.__setattr__(self, name, value)
 
     def earlier_of(self, free: tuple[str, ...]) -> FloatArray | None:
-        """Return the earlier information on these free parameters; None without earlier recordings.
+        """Return the earlier information on the free parameters; None without earlier recordings.
+
+        Parameters
+        ----------
+        free : tuple of str
+            Names of the free parameters.
 
         Raises
         ------
@@ -118,6 +123,11 @@ class KnownModel(Brief):
 
     def channels(self, signal: str) -> tuple[bool, list[int]]:
         """Return whether a signal or channel is an input, and its columns.
+
+        Parameters
+        ----------
+        signal : str
+            Signal (``"p"``) or channel (``"p.x"``).
 
         Raises
         ------

@@ -20,7 +20,15 @@ _SEED = 20260  # of the errors of the simulated recording; the information hardl
 
 
 class Expected(NamedTuple):
-    """Covariance to be expected, of the free parameters in their order."""
+    """Covariance to be expected.
+
+    Attributes
+    ----------
+    free : tuple of str
+        Free parameters.
+    covariance : (n_free, n_free) array
+        Their covariance, NaN for those that the recording does not determine.
+    """
 
     free: tuple[str, ...]
     covariance: FloatArray
