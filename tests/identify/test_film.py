@@ -68,6 +68,12 @@ def test_film_is_for_fits_of_the_bearing_with_filters_as_delays():
         gbid.RotorBearing(film="stiffening", delay="exact")
     with pytest.raises(UsageError, match="fits of the bearing alone"):
         gbid.Plant(STRUCTURE)
+    with pytest.raises(UsageError, match="straight from the recordings are for linear structures"):
+        gbid.fit_lpv_direct(
+            [gbid.Recording({"u": np.ones((9, 2)), "p": np.ones((9, 2))}, 1e-3, name="a")],
+            gbid.load_model("theisen2016"),
+            structure=STRUCTURE,
+        )
 
 
 def test_equal_equations_share_their_functions_and_others_do_not():

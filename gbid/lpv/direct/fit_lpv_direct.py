@@ -36,7 +36,7 @@ from gbid.lpv.surface_fit.terms import distinct_points
 from gbid.notes.model_notes import SurfaceNote
 from gbid.operating_point import point_label
 from gbid.recording import Recording
-from gbid.structure import KEY_PARAMETERS, RotorBearing, Structure, as_names
+from gbid.structure import KEY_PARAMETERS, NonlinearStructure, RotorBearing, Structure, as_names, equations_of
 from gbid.threads import one_blas_thread
 
 _SHORTEST = 20  # smallest number of samples of a recording
@@ -108,6 +108,11 @@ def fit_lpv_direct(
     """
     model = start.model if isinstance(start, LPVFit) else start
     structures = _structures_of(recordings, structure, RotorBearing(pade_order=model.pade_order))
+    if nonlinear := [one.name for one in structures if isinstance(equations_of(one), NonlinearStructure)]:
+        raise UsageError(
+            f"structure {nonlinear[0]!r} is nonlinear: surfaces straight from the recordings are for linear "
+            "structures; use fit_lpv on the fits"
+        )
     setting = set_up(recordings, model, structures, fixed or {})
     channels = [Channels(as_names(one.inputs), as_names(one.outputs)) for one in structures]
     data = gather_own(recordings, channels, minimum=_SHORTEST)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
 from gbid.experiment.stages.rig.model import rig_model, true_parameters
-from gbid.rig import RotorBearingTruth, scatter_random, scattered
+from gbid.rig import FilmStiffening, RotorBearingTruth, scatter_random, scattered
 from gbid.structure import (
     KEY_PARAMETERS,
     AnyStructure,
@@ -18,6 +18,7 @@ from gbid.structure import (
     RotorBearing,
     evaluate,
 )
+from gbid.structure.rotor_bearing import STIFFENING
 
 
 def true_values(experiment: Experiment, recordings: Sequence[str], structure: AnyStructure) -> dict[str, float]:
@@ -43,7 +44,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
     points = {tuple(sorted(q.conditions.items())) for q in planned}
     if len(points) != 1 or any(q.imported for q in planned) or not _is_built_in(structure):
         return {}
-    known = _as_drawn(experiment, planned)
+    known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
 
 
@@ -61,6 +62,11 @@ def _as_drawn(experiment: Experiment, planned: Sequence[PlannedRecording]) -> di
     random = scatter_random(rig.seed, planned[0].name, planned[0].conditions)
     drawn, _ = scattered(RotorBearingTruth.from_parameters(known), rig.scatter.as_scatter(), random)
     return {**known, **drawn.key_parameters()}
+
+
+def _stiffening(experiment: Experiment) -> float:
+    film = experiment.spec.rig.stiffening if experiment.spec.rig else None
+    return FilmStiffening(film.deviation_m, film.at_m).inverse_square_length if film else 0.0
 
 
 def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearModel) -> LinearModel | None:
