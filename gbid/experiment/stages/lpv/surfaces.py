@@ -16,7 +16,7 @@ from gbid.experiment.stages.prefilter.stage import load_fit_input
 from gbid.identify import TableEntry, tabulate
 from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct
 from gbid.lpv.model import ACTUATOR_PARAMETERS
-from gbid.structure import NonlinearStructure, Plant, RotorBearing, equations_of
+from gbid.structure import NonlinearStructure, Plant, RotorBearing
 from gbid.validate.validation_store import load_actuators
 
 DIRECT = "_direct"
@@ -87,7 +87,7 @@ class Surfaces:
         recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
         hold = fit_arguments(experiment, name, recordings)["intersample"]
         structure = make_structure(experiment, name)
-        if isinstance(equations_of(structure), NonlinearStructure):
+        if isinstance(structure, NonlinearStructure):
             raise UsageError(
                 f"fit {name!r} is nonlinear: surfaces straight from the recordings are for linear structures"
             )
