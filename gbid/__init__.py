@@ -49,12 +49,13 @@ if TYPE_CHECKING:
     )
     from gbid.identify.fit import fit
     from gbid.interchange import from_ross, save_csv, save_mat
-    from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, save_lpv_fit
+    from gbid.lpv import LPVFit, LPVModel, fit_lpv, fit_lpv_direct, load_lpv_fit, load_model, lpv_of, save_lpv_fit
     from gbid.prefilter.align import align_index
     from gbid.prefilter.compare import compare_runout
     from gbid.prefilter.identify_runout import identify_runout
     from gbid.prefilter.online import OnlinePrefilter
     from gbid.prefilter.prefilter import prefilter
+    from gbid.prefilter.unbalance_signal import with_unbalance
     from gbid.recording import Recording, import_recording, load_recording, save_recording
     from gbid.structure import (
         ClosedLoop,
@@ -66,7 +67,9 @@ if TYPE_CHECKING:
         PiezoPair,
         Plant,
         RotorBearing,
+        ScheduledStructure,
         casadi_functions,
+        scheduled,
         with_pade,
     )
     from gbid.validate import (
@@ -110,6 +113,7 @@ __all__ = [
     "Recording",
     "ResidualTest",
     "RotorBearing",
+    "ScheduledStructure",
     "StaticMap",
     "Uncertainty",
     "ValidationScores",
@@ -144,6 +148,7 @@ __all__ = [
     "load_model",
     "load_recording",
     "load_table",
+    "lpv_of",
     "maximise_damping",
     "measured_response",
     "nominal_actuator",
@@ -155,11 +160,13 @@ __all__ = [
     "save_lpv_fit",
     "save_mat",
     "save_recording",
+    "scheduled",
     "sensitivities",
     "summarise",
     "tune",
     "validate_impact",
     "with_pade",
+    "with_unbalance",
 ]
 
 _HOME = {
@@ -186,13 +193,14 @@ _HOME = {
     "interchange": ("from_ross", "save_csv", "save_mat"),
     "lpv": (
         *("LPVFit", "LPVModel", "fit_lpv", "fit_lpv_direct"),
-        *("load_lpv_fit", "load_model", "save_lpv_fit"),
+        *("load_lpv_fit", "load_model", "lpv_of", "save_lpv_fit"),
     ),
-    "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter"),
+    "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter", "with_unbalance"),
     "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
     "structure": (
         *("LinearModel", "LinearStructure", "NonlinearModel", "NonlinearStructure", "Parameter"),
-        *("ClosedLoop", "PiezoPair", "Plant", "RotorBearing", "casadi_functions", "with_pade"),
+        *("ClosedLoop", "PiezoPair", "Plant", "RotorBearing", "ScheduledStructure"),
+        *("casadi_functions", "scheduled", "with_pade"),
     ),
     "validate": (
         *("NominalActuator", "ResidualTest", "ValidationScores", "ValidationSummary"),

@@ -38,6 +38,7 @@ SIGNALS: dict[str, SignalKind] = {
     "phi": SignalKind("rad", "shaft angle", ("phi",)),
     "pressure_bar": SignalKind("bar", "injection pressure", ("pressure_bar",)),
     "speed_rpm": SignalKind("rpm", "speed of the shaft", ("speed_rpm",)),
+    "unbalance": SignalKind("rad^2/s^2", "direction of the unbalance times the square of the speed", ("x", "y")),
     "force": SignalKind("N", "impact force", ("force",)),
     "f": SignalKind("N", "impact force along the axes", ("x", "y")),
     "v": SignalKind("V", "voltage of each piezo stack", ("1", "2", "3", "4")),

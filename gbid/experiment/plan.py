@@ -19,7 +19,7 @@ NO_POINT = "any"
 """Word for the operating point of recordings without one."""
 
 _STACK_SIGNALS = {name: SIGNALS[name].channels for name in ("y_p", "v", "r_p")}
-_COURSE_SIGNALS = {name: SIGNALS[name].channels for name in ("pressure_bar", "speed_rpm")}
+_COURSE_SIGNALS = {name: SIGNALS[name].channels for name in ("pressure_bar", "speed_rpm", "unbalance")}
 _EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"].channels}}
 
 

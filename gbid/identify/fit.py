@@ -36,7 +36,7 @@ from gbid.identify.start.settled_start import settled_start
 from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.structure import AnyStructure, NonlinearStructure, symbolic_matrices
+from gbid.structure import AnyStructure, NonlinearStructure, ScheduledStructure, symbolic_matrices
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
@@ -83,7 +83,8 @@ def fit(
     Parameters
     ----------
     structure : Structure or NonlinearStructure
-        `RotorBearing`, `PiezoPair`, `Plant`, or a user's `LinearStructure` or `NonlinearStructure`.
+        `RotorBearing`, `PiezoPair`, `Plant`, or a user's `LinearStructure` or `NonlinearStructure`; what
+        `scheduled` makes of linear ones, for recordings in which scheduling variables change.
     recordings : Recording or sequence of Recording
         Recordings to fit. They share all parameters except those in `local`; each has its own initial state.
     inputs, outputs : str or sequence of str, optional
@@ -244,6 +245,7 @@ def fit(
             window=None if samples is None else window_length(problem),
             engine=posed.assembly.engine,
             bootstrap=bootstrap,
+            schedule=asked.courses.schedule if asked.courses else None,
         )
         moved = {name: word if own[name] == begin[name] else "data" for name, word in first.origin.items()}
         result = outcome(
@@ -266,8 +268,11 @@ def fit(
         return Attempt(result, problem.rate(solution.unknowns), doubtful)
 
     def settle() -> dict[str, float] | None:
-        if isinstance(structure, NonlinearStructure) or symbolic_matrices(structure)[1].feedback is not None:
-            return None  # an observer is for linear models in continuous time
+        if (
+            isinstance(structure, NonlinearStructure | ScheduledStructure)
+            or symbolic_matrices(structure)[1].feedback is not None
+        ):
+            return None  # an observer is for linear models in continuous time, with constant parameters
         own, hold = (structure, asked.parameters, begin, asked.undisturbed), asked.intersample
         moved = settled_start(*own, intersample=hold, left_out=left_out or {}, engine=engine)
         return moved and {q.name: float(np.clip(moved[q.name], q.lower, q.upper)) for q in asked.parameters}

@@ -13,6 +13,7 @@ from gbid.identify.nlp.watch import Stop
 from gbid.identify.predictor import Focus
 from gbid.identify.robust.loss import RobustLoss
 from gbid.identify.uncertainty.bootstrap import Bootstrap, StdName
+from gbid.structure.scheduled.schedule import Schedule
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,8 @@ class FitOptions:
         Engine of the pass over the samples.
     bootstrap : Bootstrap or None
         Bootstrap of the standard deviations; None without one, also in a file of an earlier version.
+    schedule : Schedule or None
+        Terms of the surfaces of a scheduled structure; None for constant parameters.
     """
 
     inputs: tuple[str, ...]
@@ -60,6 +63,7 @@ class FitOptions:
     window: int | None
     engine: RunEngine
     bootstrap: Bootstrap | None = None
+    schedule: Schedule | None = None
 
     @property
     def std(self) -> StdName:

@@ -16,6 +16,7 @@ from gbid.identify.problem.assembly import Assembly
 from gbid.identify.problem.initial_states import InitialStates, released_states
 from gbid.identify.result import FitResult, StdKind
 from gbid.identify.robust.reweighting import Reweighted
+from gbid.identify.scheduled.tied_equations import centre_tie
 from gbid.identify.uncertainty.bootstrap import Bootstrap
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less, not_determined
@@ -24,7 +25,7 @@ from gbid.identify.uncertainty.model_spreads import model_spreads
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
 from gbid.notes.fit_notes import FitNote
-from gbid.structure import AnyStructure, NonlinearModel, Parameter, model_of
+from gbid.structure import AnyStructure, NonlinearModel, Parameter, ScheduledStructure, model_of
 
 _COLOURED = 0.01  # significance level of the whiteness test, shared by the outputs
 _NEAR = 1e-6  # largest distance from a bound at which a parameter lies on it, as a part of the parameter's scale
@@ -121,7 +122,14 @@ def outcome(
     model = model_of(structure, {name: first[name] for name in own}, data.input_names, data.output_names)
     if isinstance(model, NonlinearModel):
         model = at_working_point(model, problem, theta, starts, data)
-    spreads = model_spreads(problem, theta, chosen, model, own)
+    spreads = model_spreads(
+        problem,
+        theta,
+        chosen,
+        model,
+        own,
+        centre_tie(structure, problem.parts[0].predictor.free, [q.name for q in free]),
+    )
     n, k = problem.n_samples, len(theta) + int((~settled).sum())
     first_states = starts[assembly.record_window] + released_states(problem, theta, assembly.record_window)
     log_det = float(np.linalg.slogdet(mean_square)[1]) if np.isfinite(mean_square).all() else np.nan
@@ -276,12 +284,18 @@ def overflow_notes(points: int) -> tuple[str, ...]:
 
 
 def _doubts(
-    problem: Shooting, theta: FloatArray, structure: AnyStructure, assembly: Assembly, found: Covariance
+    problem: Shooting,
+    theta: FloatArray,
+    structure: AnyStructure,
+    assembly: Assembly,
+    found: Covariance,
 ) -> tuple[str, ...]:
     names = np.array([q.name for q in assembly.free])
     known, own = {q.name for q in structure.parameters}, assembly.own_names
+    if isinstance(structure, ScheduledStructure):  # a coefficient may well be zero, too
+        known &= {q.name for q in structure.base.parameters}
     # A disturbance gain or a trend may well be zero: an open sign says nothing there.
-    physical = np.array([own[name] in known and i not in problem.noise for i, name in enumerate(names)], bool)
+    physical = np.array([own.get(name, name) in known and i not in problem.noise for i, name in enumerate(names)], bool)
     physical &= ~np.asarray((np.abs(found.undetermined) > 1e-3).any(axis=0))
     white = found.white[np.ix_(physical, physical)]
     return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(found, names))

@@ -17,6 +17,7 @@ from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
 from gbid.lpv.scheduled_model import ScheduledModel
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.fit_lpv import fit_lpv
+from gbid.lpv.surface_fit.from_schedule import lpv_of
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.lpv.surface_fit.lpv_fit_store import load_lpv_fit, save_lpv_fit
 from gbid.lpv.surface_fit.order import OrderScore
@@ -49,6 +50,7 @@ __all__ = [
     "fit_lpv_direct",
     "load_lpv_fit",
     "load_model",
+    "lpv_of",
     "polynomial",
     "regressors",
     "save_lpv_fit",

@@ -10,15 +10,9 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
+from gbid.structure.scheduled.monomials import EXPONENTS, SCHEDULING, TERMS
 
-TERMS = ("1", "P", "Omega", "Omega P", "P^2", "Omega^2")
-"""Terms in the order of the coefficients; P in bar, Omega in rpm."""
-
-SCHEDULING = ("pressure_bar", "speed_rpm")
-"""Scheduling variables of a gas bearing."""
-
-EXPONENTS = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (0, 2))
-"""Powers of (P, Omega) of each term."""
+__all__ = ["EXPONENTS", "SCHEDULING", "TERMS", "basis", "polynomial", "regressors"]
 
 
 def basis(pressure_bar: Any, speed_rpm: Any) -> tuple[Any, ...]:
@@ -52,11 +46,6 @@ def regressors(pressure_bar: npt.ArrayLike, speed_rpm: npt.ArrayLike) -> FloatAr
     """
     P, Omega = np.broadcast_arrays(np.asarray(pressure_bar, float), np.asarray(speed_rpm, float))
     return np.stack([term * np.ones(P.shape) for term in basis(P, Omega)], axis=-1)
-
-
-def monomials(points: FloatArray, exponents: Sequence[Sequence[int]]) -> FloatArray:
-    """Return the terms ``P^i Omega^j ...`` of points (..., n_variables) in their own units, shape (..., n_terms)."""
-    return np.stack([np.prod(points ** np.array(e), axis=-1) for e in exponents], axis=-1)
 
 
 def polynomial(coefficients: Sequence[Any] | FloatArray, terms: Sequence[Any]) -> Any:

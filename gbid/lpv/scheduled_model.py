@@ -11,10 +11,10 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
 from gbid.errors import UsageError
-from gbid.lpv.basis import monomials
 from gbid.lpv.domain import check_range
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
+from gbid.structure.scheduled.monomials import monomials
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from gbid.prefilter.shaft import shaft_motion
 from gbid.prefilter.spikes import remove_spikes
 from gbid.recording import Recording
 
-_NO_MEAN = ("phi", "force", "pressure_bar", "speed_rpm")  # angle, impact and operating point have no offset
+_NO_MEAN = ("phi", "force", "pressure_bar", "speed_rpm", "unbalance")  # these have no offset to remove
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,6 +15,7 @@ from gbid.structure.parameter import Parameter, Values, known_names
 from gbid.structure.piezo_pair import PiezoPair
 from gbid.structure.plant import Plant
 from gbid.structure.rotor_bearing import KEY_PARAMETERS, RotorBearing
+from gbid.structure.scheduled.scheduled_structure import ScheduledStructure, scheduled
 from gbid.structure.user import load_structure
 
 __all__ = [
@@ -32,6 +33,7 @@ __all__ = [
     "PiezoPair",
     "Plant",
     "RotorBearing",
+    "ScheduledStructure",
     "Structure",
     "Values",
     "anatomy",
@@ -45,6 +47,7 @@ __all__ = [
     "model_of",
     "nonlinear_model",
     "pade_delay",
+    "scheduled",
     "symbolic_equations",
     "symbolic_matrices",
     "with_pade",

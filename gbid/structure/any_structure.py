@@ -1,4 +1,4 @@
-"""What a fit asks of a structure, linear or not: sizes, where its parameters act, and its model."""
+"""What a fit asks of a structure of any kind: sizes, where its parameters act, and its model."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_m
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.rotor_bearing import RotorBearing
+from gbid.structure.scheduled.schedule import coefficient_names
+from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
 
-AnyStructure = Structure | NonlinearStructure
-"""Structure of either kind."""
+AnyStructure = Structure | NonlinearStructure | ScheduledStructure
+"""Structure of any kind."""
 
 
 class Anatomy(NamedTuple):
@@ -57,12 +59,14 @@ def anatomy(
 
     Parameters
     ----------
-    structure : Structure or NonlinearStructure
+    structure : Structure, NonlinearStructure or ScheduledStructure
         The structure.
     driven, moving : sequence of int, optional
         Inputs that are not zero, and inputs that move; all by default. A parameter that acts through others alone does
         not count.
     """
+    if isinstance(structure, ScheduledStructure):
+        return _of_scheduled(structure, anatomy(structure.base, driven, moving))
     if isinstance(structure, NonlinearStructure):
         e = symbolic_equations(structure)
         n_u = e.u.numel()
@@ -89,10 +93,32 @@ def model_of(
     *,
     steps: int = 1,
 ) -> LinearModel | NonlinearModel:
-    """Return the model of a structure for given parameter values; `steps` is for nonlinear ones."""
+    """Return the model of a structure for given parameter values; `steps` is for nonlinear ones.
+
+    That of a scheduled structure is its base in the middle of the range, where only the first coefficients count.
+    """
+    if isinstance(structure, ScheduledStructure):
+        first = {key: values[coefficient_names(key, 1)[0]] for key in structure.surfaces}
+        own = {q.name: first[q.name] if q.name in first else values[q.name] for q in structure.base.parameters}
+        return evaluate(structure.base, own, input_names, output_names)
     if isinstance(structure, NonlinearStructure):
         return nonlinear_model(structure, values, input_names, output_names, steps=steps)
     return evaluate(structure, values, input_names, output_names)
+
+
+def _of_scheduled(structure: ScheduledStructure, base: Anatomy) -> Anatomy:
+    """Return the anatomy with the coefficients in place of the parameters that are surfaces."""
+
+    def renamed(names: frozenset[str]) -> frozenset[str]:
+        m = len(structure.exponents)
+        rows = (coefficient_names(name, m) if name in structure.surfaces else [name] for name in names)
+        return frozenset(name for row in rows for name in row)
+
+    return base._replace(
+        in_equations=renamed(base.in_equations),
+        in_x0=tuple(map(renamed, base.in_x0)),
+        gain_only=renamed(base.gain_only),
+    )
 
 
 def _by_row(x0: ca.SX) -> tuple[frozenset[str], ...]:

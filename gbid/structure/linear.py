@@ -95,7 +95,7 @@ class Structure(Protocol):
     @property
     def outputs(self) -> tuple[str, ...]: ...  # noqa: D102
     @property
-    def intersample(self) -> Hold: ...  # noqa: D102
+    def intersample(self) -> Hold | tuple[Hold, ...]: ...  # noqa: D102
 
     def matrices(self, p: Values) -> Mapping[str, Any]:
         """Return ``{"A", "B", "C", "D", "K"}`` as CasADi matrices of the parameters; D and K may be left out.
@@ -162,7 +162,7 @@ class LinearStructure(Brief):
         matrices: Callable[[Values], Mapping[str, Any]],
         inputs: str | Sequence[str] = "u",
         outputs: str | Sequence[str] = "y",
-        intersample: Hold = "zoh",
+        intersample: Hold | tuple[Hold, ...] = "zoh",
     ) -> None:
         names = [parameter.name for parameter in parameters]
         twice = sorted({n for n in names if names.count(n) > 1})

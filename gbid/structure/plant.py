@@ -40,9 +40,12 @@ class Plant(Brief):
     outputs: tuple[str, ...] = ("u", "p")
     name: str = "plant"
     inputs: tuple[str, ...] = ("r",)
-    intersample: Hold = "zoh"
+    intersample: Hold | tuple[Hold, ...] = "zoh"
 
     def __post_init__(self) -> None:
+        if self.bearing.unbalance and self.inputs == ("r",):
+            object.__setattr__(self, "inputs", ("r", "unbalance"))
+            object.__setattr__(self, "intersample", ("zoh", "zoh", "foh", "foh"))
         outputs: str | Sequence[str] = self.outputs
         object.__setattr__(self, "outputs", as_names(outputs))
         if self.outputs not in (("u", "p"), ("p",)):
@@ -59,9 +62,17 @@ class Plant(Brief):
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices A, B, C, D and K of the series connection."""
-        act, rb = self.actuators.matrices(p), self.bearing.matrices(p)
+        act, whole = self.actuators.matrices(p), self.bearing.matrices(p)
+        rb = {**whole, "B": whole["B"][:, :2], "D": whole["D"][:, :2]}
         if self.bearing.delay == "exact":
-            return self._with_exact_delay(act, rb)
+            rb |= {"B_delayed": whole["B_delayed"][:, :2], "delay": whole["delay"][:2]}
+            found = self._with_exact_delay(act, rb)
+        else:
+            found = self._with_pade(act, rb)
+        return _with_forces(found, whole["B"][:, 2:]) if self.bearing.unbalance else found
+
+    def _with_pade(self, act: dict[str, Any], rb: dict[str, Any]) -> dict[str, Any]:
+        """Return the series connection with the delays of the bearing as states."""
         n_a, n_b = act["A"].shape[0], rb["A"].shape[0]
         A = ca.blockcat([[act["A"], ca.SX(n_a, n_b)], [rb["B"] @ act["C"], rb["A"]]])
         to_u = ca.horzcat(act["C"], ca.SX(2, n_b))
@@ -105,3 +116,16 @@ class Plant(Brief):
         """Return the gain of the disturbance of the bearing, for all states and outputs."""
         below = ca.vertcat(ca.SX(n_before, 2), K)
         return ca.horzcat(ca.SX(below.shape[0], 2), below) if self._explains_u else below
+
+
+def _with_forces(found: dict[str, Any], forces: ca.SX) -> dict[str, Any]:
+    """Return the matrices with further inputs that act on the states of the bearing, which are the last."""
+    n, m = found["A"].shape[0], forces.shape[1]
+    acting = ca.vertcat(ca.SX(n - forces.shape[0], m), forces)
+    more = {"B": ca.horzcat(found["B"], acting), "D": ca.horzcat(found["D"], ca.SX(found["D"].shape[0], m))}
+    if "delay" in found:
+        more |= {
+            "B_delayed": ca.horzcat(found["B_delayed"], ca.SX(n, m)),
+            "delay": ca.vertcat(found["delay"], ca.SX.zeros(m, 1)),
+        }
+    return {**found, **more}

@@ -53,6 +53,10 @@ class RotorBearing(Brief):
         Stiffness of the film. With "stiffening" it grows with the distance from the centre, ``K (1 + s |p|^2) p``, with
         one more parameter ``stiffening`` s [1/m^2] (`gbid.rig.FilmStiffening`). The fit is then nonlinear. `matrices`
         are those of small amplitudes.
+    unbalance : bool
+        Whether a mass unbalance acts on the rotor, with the unknowns e_cos and e_sin [m]. A second input "unbalance"
+        then has the channels Omega^2 cos(phi) and Omega^2 sin(phi), see `gbid.with_unbalance`. It is for recordings in
+        which the speed changes, where no map over the shaft angle removes the response to it.
 
     Raises
     ------
@@ -64,12 +68,15 @@ class RotorBearing(Brief):
     delay: Literal["pade", "exact"] = "pade"
     disturbance_gain: DisturbanceGain = "full"
     film: Film = "linear"
+    unbalance: bool = False
     name: str = "rotor_bearing"
     inputs: tuple[str, ...] = ("u",)
     outputs: tuple[str, ...] = ("p",)
     intersample: Hold = "foh"
 
     def __post_init__(self) -> None:
+        if self.unbalance and self.inputs == ("u",):
+            object.__setattr__(self, "inputs", ("u", "unbalance"))
         if self.pade_order < 1:
             raise UsageError(f"{self.name}: pade_order = {self.pade_order}; it must be at least 1")
         if self.delay not in ("pade", "exact"):
@@ -94,11 +101,26 @@ class RotorBearing(Brief):
             Parameter(name, 0.0, -inf, inf, unit="1/s" if name.startswith("bp") else "1/s^2")
             for name in self._gain_names()
         ]
+        rotating = [Parameter(f"e_{part}", 0.0, unit="m") for part in ("cos", "sin") if self.unbalance]
         film = [Parameter(STIFFENING, 0.0, unit="1/m^2")] if self.film == "stiffening" else []
-        return (*coefficients, *delays, *film, *gains)
+        return (*coefficients, *delays, *film, *rotating, *gains)
 
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices of Eq. 10, or of Eqs. 6 and 7 with exact delays."""
+        found = self._of_bearing(p)
+        if not self.unbalance:
+            return found
+        n = found["A"].shape[0]
+        turned = ca.vertcat(ca.horzcat(p["e_cos"], -p["e_sin"]), ca.horzcat(p["e_sin"], p["e_cos"]))
+        found["B"] = ca.horzcat(found["B"], ca.vertcat(ca.SX(2, 2), turned, ca.SX(n - 4, 2)))
+        found["D"] = ca.SX(2, 4)
+        if self.delay == "exact":
+            found["B_delayed"] = ca.horzcat(found["B_delayed"], ca.SX(n, 2))
+            found["delay"] = ca.vertcat(found["delay"], ca.SX.zeros(2, 1))
+        return found
+
+    def _of_bearing(self, p: Values) -> dict[str, Any]:
+        """Return the matrices without unbalance."""
         stiffness, damping, input_gain = (square(p, letter) for letter in "kdb")
         if self.delay == "exact":
             zero, eye = ca.SX(2, 2), ca.SX.eye(2)

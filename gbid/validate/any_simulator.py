@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Protocol
 
 from gbid.arrays import BoolArray, FloatArray
+from gbid.errors import UsageError
 from gbid.identify import FitResult
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
 from gbid.structure import LinearModel, NonlinearModel
@@ -49,9 +50,19 @@ def simulator_of(
     return Simulator(model, sample_time, intersample, disturbances, name)
 
 
+def refuse_scheduled(result: FitResult) -> None:
+    """Refuse the fit of a scheduled structure, whose model holds in the middle of the range only."""
+    if result.options.schedule is not None:
+        raise UsageError(
+            f"the parameters of {result.structure!r} follow {', '.join(result.options.schedule.variables)}; its model "
+            "is that of the middle of their range. Take gbid.lpv_of(result).model.at(...) at an operating point"
+        )
+
+
 def simulator(result: FitResult) -> AnySimulator:
     """Return a fitted model prepared for the simulation on many recordings."""
     options = result.options
+    refuse_scheduled(result)
     return simulator_of(
         result.model, result.sample_time, options.intersample, options.disturbances, ", ".join(result.recordings)
     )

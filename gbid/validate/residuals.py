@@ -17,7 +17,7 @@ from gbid.identify import FitResult, correlation, select, whiteness_test
 from gbid.identify.disturbances.walking_model import with_walking_offsets
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
-from gbid.validate.any_simulator import simulator_of
+from gbid.validate.any_simulator import refuse_scheduled, simulator_of
 from gbid.validate.fit_percent import fit_percent
 from gbid.validate.nonlinear_simulator import NonlinearSimulator
 from gbid.validate.validation_data import Ranges, counted_samples
@@ -137,6 +137,7 @@ def check_residuals(result: FitResult, recording: Recording, lags: int = 50, lef
         When the recording lacks a signal, or when the predictions overflow.
     """
     check_order(result, "check_residuals(result, recording)")
+    refuse_scheduled(result)
     u, input_names, _ = select(recording, result.options.inputs)
     output_names = select(recording, result.options.outputs)[1]
     stretch = _longest(counted_samples(recording, left_out), len(u))

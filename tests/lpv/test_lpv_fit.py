@@ -12,9 +12,10 @@ from gbid.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import lack_of_fit
-from gbid.lpv.surface_fit.terms import exponents_of, orthonormal
+from gbid.lpv.surface_fit.terms import orthonormal
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
+from gbid.structure.scheduled.monomials import exponents_of
 
 GRID = np.array([point for point, _ in CAMPAIGN])
 K = len(KEY_PARAMETERS)

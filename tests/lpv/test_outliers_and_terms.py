@@ -8,7 +8,6 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from gbid.lpv import TERMS
-from gbid.lpv.basis import monomials
 from gbid.lpv.surface_fit.outliers import (
     _VARIANCE,
     CLIPPING_SLOPE,
@@ -18,7 +17,8 @@ from gbid.lpv.surface_fit.outliers import (
     standardised,
     threshold,
 )
-from gbid.lpv.surface_fit.terms import chosen_exponents, exponents_of, orthonormal, term_name
+from gbid.lpv.surface_fit.terms import chosen_exponents, orthonormal
+from gbid.structure.scheduled.monomials import exponents_of, monomials, term_name
 
 
 def test_the_threshold_rises_with_the_number_of_entries() -> None:

@@ -76,7 +76,7 @@ class Scheduled:
         return self.base.outputs
 
     @property
-    def intersample(self) -> Hold:
+    def intersample(self) -> Hold | tuple[Hold, ...]:
         """Inter-sample behaviour of the inputs of the base structure."""
         return self.base.intersample
 

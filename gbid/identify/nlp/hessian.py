@@ -69,7 +69,7 @@ class ExactHessian:
             self._left_out = left_out_columns(problem, unknowns, lam_gaps, everything=self._coloured)
         self._calls += 1
         convex = [
-            PartHessian(held_up(own.theta, kept.theta), own.mixed)
+            PartHessian(held_up(own.theta, kept.theta), own.mixed) if own.theta.any() else own
             for own, kept in zip(self._left_out, gauss_newton_of(problem, here), strict=True)
         ]
         return np.asarray(lam_f * (here.hessian + entries_of(problem, convex)))
@@ -134,7 +134,8 @@ def left_out_columns(
     lam_gaps : (n_gaps,) array
         Multipliers of the gaps.
     everything : bool
-        Whether to compute all columns. If not, parts without ties get the columns of the disturbance gain only.
+        Whether to compute all columns. If not, parts without ties get the columns of the disturbance gain only, and
+        parts without a gain none.
 
     Returns
     -------
@@ -144,7 +145,9 @@ def left_out_columns(
     iterate = problem.at(unknowns)
     kept = gauss_newton_of(problem, iterate)
     wanted = [
-        range(len(part.predictor.free)) if everything or part.tie is not None else part.predictor.noise
+        range(len(part.predictor.free))
+        if (part.predictor.noise and (everything or part.tie is not None)) or (everything and part.tie is None)
+        else part.predictor.noise
         for part in problem.parts
     ]
     weight = problem.weight(np.asarray(sum(s.error_products for s in iterate.sweeps)))
@@ -155,6 +158,9 @@ def left_out_columns(
     found = []
     for part, own, (theta, mixed), gn in zip(problem.parts, wanted, exact, kept, strict=True):
         scale = problem.theta_scale[part.index]
+        if not len(own):
+            found.append(PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed)))
+            continue
         if part.tie is not None:
             theta, mixed = part.tie.T @ theta @ part.tie, np.einsum("wjn,jp->wpn", mixed, part.tie)
         theta = theta * np.outer(scale, scale) - gn.theta

@@ -18,7 +18,7 @@ from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.predictor import Focus, Predictor, with_spare_states
 from gbid.identify.problem.either_kind import any_predictor
-from gbid.identify.problem.segments import GroupBuilder, links_of, record_windows, stretches
+from gbid.identify.problem.segments import GroupBuilder, Stretch, in_pieces, links_of, record_windows, stretches
 from gbid.identify.problem.ties import Ties, tie_of
 from gbid.operating_point import point_label
 from gbid.structure import AnyStructure, Parameter
@@ -170,22 +170,23 @@ def assemble(
         free = (*ties.shared, *free, *_all_free(ties.own, record_names))
     position = {q.name: i for i, q in enumerate(free)}
 
-    segments = [
-        stretches(record, left_out.get(record.name, ()), first[model])
-        for record, model in zip(data.records, model_of, strict=True)
-    ]
+    segments: list[list[tuple[Stretch, int]]] = []
+    for i, (record, model) in enumerate(zip(data.records, model_of, strict=True)):
+        begin_piece, edges = (i, ()) if ties is None else ties.pieces(i)
+        own = stretches(record, left_out.get(record.name, ()), first[model])
+        segments.append([(stretch, begin_piece + piece) for stretch, piece in in_pieces(own, edges)])
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
     builder = GroupBuilder(window, begin, engine)
-    for i, (names, record) in enumerate(zip(record_names, segments, strict=True)):
-        for segment in record:
+    for i, (names, own_stretches) in enumerate(zip(record_names, segments, strict=True)):
+        for segment, piece in own_stretches:
             chosen = predictor_for("simulation" if segment.is_gap else focus, own_released[i], model_of[i])
             chosen = filled(chosen)
             if ties is None:
                 builder.add(chosen, tuple(position[names[q.name]] for q in chosen.free), segment.segment)
             else:
-                index, tie = tie_of(chosen, names, position, ties, i)
+                index, tie = tie_of(chosen, names, position, ties, piece)
                 builder.add(chosen, index, segment.segment, tie)
     parts, windows = builder.build()
     return Assembly(

@@ -20,7 +20,7 @@ from gbid.identify.nonlinear.nonlinear_predictor import (
 from gbid.identify.nonlinear.runner import choose_runner
 from gbid.identify.predictor import Focus, Predictor, build_predictor, noise_names
 from gbid.notes.fit_notes import FitNote
-from gbid.structure import AnyStructure, NonlinearStructure
+from gbid.structure import AnyStructure, NonlinearStructure, ScheduledStructure
 
 
 def any_predictor(
@@ -51,6 +51,7 @@ def any_predictor(
             horizon=horizon,
             released=released,
         )
+    assert not isinstance(structure, ScheduledStructure)  # a fit poses its base
     return build_predictor(
         structure,
         fixed,
@@ -65,6 +66,8 @@ def any_predictor(
 
 def any_noise_names(structure: AnyStructure) -> frozenset[str]:
     """Return the names of the parameters on which only the disturbance gain depends."""
+    if isinstance(structure, ScheduledStructure):
+        structure = structure.base
     return nonlinear_noise_names(structure) if isinstance(structure, NonlinearStructure) else noise_names(structure)
 
 

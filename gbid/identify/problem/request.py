@@ -22,9 +22,12 @@ from gbid.identify.problem.either_kind import any_noise_names
 from gbid.identify.problem.initial_states import InitialState, InitialStates, initial_states
 from gbid.identify.problem.scaling import build_problem, unknown_bounds
 from gbid.identify.problem.undriven import check_inputs_suffice, without_inputs
+from gbid.identify.scheduled.courses import Courses, read_courses
+from gbid.identify.scheduled.scheduled_start import scheduled_start
+from gbid.identify.scheduled.tied_equations import tied_equations
 from gbid.identify.start.begin import Begin, begin_values
 from gbid.recording import Recording
-from gbid.structure import AnyStructure, Parameter, as_names, equations_of, known_names
+from gbid.structure import AnyStructure, Parameter, ScheduledStructure, as_names, equations_of, known_names
 from gbid.threads import one_blas_thread
 
 
@@ -106,6 +109,8 @@ class Request:
         Start values, and where they come from.
     options : RequestOptions
         Options as they were given.
+    courses : Courses or None
+        Scheduling variables of a scheduled structure.
     """
 
     structure: AnyStructure
@@ -121,6 +126,7 @@ class Request:
     disturbances: Disturbances
     first: Begin
     options: RequestOptions
+    courses: Courses | None = None
 
     def posed(self, own: Mapping[str, float], window: int | None, *, gain_held: bool = False) -> Posed:
         """Return the problem at start values by the structure's names, in windows of this many samples.
@@ -129,10 +135,11 @@ class Request:
         """
         asked = self.options
         used = _with_gain_held(self.structure, self.parameters) if gain_held else self.parameters
+        stated = tied_equations(self.structure, used, own, self.courses)
         assembly = assemble(
-            self.structure,
-            used,
-            own,
+            stated.structure,
+            stated.parameters,
+            stated.begin,
             self.data,
             intersample=self.intersample,
             focus=self.focus,
@@ -143,8 +150,10 @@ class Request:
             left_out=asked.get("left_out") or {},
             window=window,
             engine=asked.get("engine", "auto"),
+            ties=stated.ties,
         )
-        per_record = disturbance_starts(self.disturbances, self.structure, own, self.data, self.intersample)
+        model = stated.structure, stated.begin
+        per_record = disturbance_starts(self.disturbances, *model, self.data, self.intersample)
         begin = full_start(assembly, own, per_record)
         weights, prior = asked.get("output_weights"), asked.get("prior") or {}
         scaling = asked.get("scaling", True)
@@ -175,6 +184,9 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     parameters = _with_options(structure.parameters, given, fixed, options.get("bounds") or {}, from_data=from_data)
     data = gather(recordings, in_names, out_names, minimum=len(parameters) + 9 + horizon)
     stated, structure = structure, equations_of(structure)
+    courses = read_courses(structure, recordings) if isinstance(structure, ScheduledStructure) else None
+    if courses is not None and not in_names:
+        raise UsageError(f"{structure.name}: inputs=() is for structures with constant parameters")
     check_inputs_suffice(structure, data, parameters, no_inputs=not in_names)
     names = [record.name for record in data.records]
     states = initial_states(structure, parameters, options.get("initial_state", "auto"), names)
@@ -184,7 +196,11 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
     disturbances = asked_disturbances(trend, hum, offsets, data.output_names, data.sample_time, focus)
     with one_blas_thread():
         undisturbed = without_disturbances(disturbances, data)
-        first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
+        if isinstance(structure, ScheduledStructure) and courses is not None:
+            how = hold, focus, options.get("engine", "auto"), {*given, *fixed}
+            first = scheduled_start(structure, parameters, undisturbed, courses, *how)
+        else:
+            first = begin_values(stated, parameters, undisturbed, hold, {*given, *fixed}, from_data=from_data)
     structure = structure if in_names else without_inputs(structure)
     return Request(
         structure,
@@ -200,6 +216,7 @@ def request(structure: AnyStructure, recordings: Recording | Sequence[Recording]
         disturbances,
         first,
         options,
+        courses,
     )
 
 

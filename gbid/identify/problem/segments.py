@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.data import Record
-from gbid.identify.kernel.blocks import Segment, cut
+from gbid.identify.kernel.blocks import LANES, LONGEST_BLOCK, Segment, cut
 from gbid.identify.kernel.engine import EngineName, RunEngine
 from gbid.identify.kernel.general_predictor import GeneralPredictor
 from gbid.identify.kernel.kernel_protocol import Kernel
@@ -57,6 +57,19 @@ def stretches(record: Record, ranges: Sequence[tuple[int, int]], predictor: Gene
 _Key = tuple[int, tuple[int, ...], bytes]  # of a predictor, its parameters, and how they are tied
 
 
+def in_pieces(stretches: Sequence[Stretch], edges: Sequence[int]) -> list[tuple[Stretch, int]]:
+    """Cut stretches of a record at further samples; return each with the number of its piece, from 0."""
+    found = []
+    for stretch in stretches:
+        own = stretch.segment
+        stop = len(own.outputs) if own.stop is None else own.stop
+        inside = [own.start, *(e for e in edges if own.start < e < stop), stop]
+        for a, b in itertools.pairwise(inside):
+            piece = sum(e <= a for e in edges)
+            found.append((Stretch(replace(own, start=a, stop=b), stretch.is_gap), piece))
+    return found
+
+
 class GroupBuilder:
     """Collects segments of the same predictor and parameters, and cuts them together.
 
@@ -97,7 +110,10 @@ class GroupBuilder:
                 kernels[predictor_id] = chosen.kernel
                 self.engine_name = chosen.name
                 self.notes += chosen.notes
-            blocks = cut(segments, predictor, self._window)
+            # A lone short segment fills all lanes with blocks of itself.
+            longest = max(len(s.part(s.outputs)) for s in segments)
+            size = -(-longest // LANES) if len(segments) == 1 and tie is not None else LONGEST_BLOCK
+            blocks = cut(segments, predictor, self._window, longest_block=min(size, LONGEST_BLOCK))
             part = RecordGroup(predictor, blocks, np.array(index), kernels[predictor_id], tie)
             parts.append(part)
             ends = np.append(blocks.segment_first[1:], blocks.n_windows) - 1

@@ -14,7 +14,7 @@ from gbid.structure import Parameter
 
 @dataclass(frozen=True, eq=False)
 class Ties:
-    """In record i the parameters `names` have the values ``maps[i] @ shared + lift @ own``.
+    """In piece i the parameters `names` have the values ``maps[i] @ shared + lift @ own``; a record has some pieces.
 
     Attributes
     ----------
@@ -22,10 +22,12 @@ class Ties:
         Parameters of the structure.
     shared : tuple of Parameter
         The unknowns in their place.
-    maps : (n_records, n_names, n_shared) array
+    maps : (n_pieces, n_names, n_shared) array
     own : tuple of Parameter
         Further unknowns, which each record has for itself; there may be none.
     lift : (n_names, n_own) array
+    edges : tuple of tuple of int
+        For each record the first samples of its pieces after the first one; empty when every record is one piece.
     """
 
     names: tuple[str, ...]
@@ -33,6 +35,13 @@ class Ties:
     maps: FloatArray
     own: tuple[Parameter, ...]
     lift: FloatArray
+    edges: tuple[tuple[int, ...], ...] = ()
+
+    def pieces(self, record: int) -> tuple[int, tuple[int, ...]]:
+        """Return the number of the first piece of a record, and the first samples of its other pieces."""
+        if not self.edges:
+            return record, ()
+        return sum(len(own) + 1 for own in self.edges[:record]), self.edges[record]
 
     def own_names(self, record: str) -> dict[str, str]:
         """Return the full names of the own unknowns of a record."""
@@ -40,9 +49,9 @@ class Ties:
 
 
 def tie_of(
-    predictor: GeneralPredictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, record: int
+    predictor: GeneralPredictor, names: Mapping[str, str], position: Mapping[str, int], ties: Ties, piece: int
 ) -> tuple[tuple[int, ...], FloatArray]:
-    """Unknowns that one record sees, and the matrix from them to its predictor's parameters.
+    """Unknowns that one piece of a record sees, and the matrix from them to its predictor's parameters.
 
     Parameters
     ----------
@@ -52,7 +61,8 @@ def tie_of(
     position : dict of str to int
         Place of each unknown by full name.
     ties : Ties
-    record : int
+    piece : int
+        Its number, over all records.
 
     Returns
     -------
@@ -69,6 +79,6 @@ def tie_of(
             tie[row, n_shared + own.index(q.name)] = 1.0
         else:
             at = ties.names.index(q.name)
-            tie[row, :n_shared] = ties.maps[record][at]
+            tie[row, :n_shared] = ties.maps[piece][at]
             tie[row, len(index) - n_lift :] = ties.lift[at]
     return tuple(index), tie

@@ -11,12 +11,12 @@ import numpy as np
 from gbid.errors import DataError
 from gbid.identify.data import FitData
 from gbid.notes.fit_notes import FitNote
-from gbid.structure import AnyStructure, LinearStructure, NonlinearStructure, Parameter, anatomy
+from gbid.structure import AnyStructure, LinearStructure, NonlinearStructure, Parameter, ScheduledStructure, anatomy
 
 
 def without_inputs(structure: AnyStructure) -> AnyStructure:
     """Return a structure without its inputs, for free decays: the states, outputs and the disturbance gain remain."""
-    if not anatomy(structure).n_inputs:
+    if not anatomy(structure).n_inputs or isinstance(structure, ScheduledStructure):
         return structure
     if isinstance(structure, NonlinearStructure):
         full, still = structure, ca.SX.zeros(len(structure.inputs))

@@ -42,6 +42,7 @@ def start_values(structure: Any, data: FitData, given: Mapping[str, float]) -> d
 
 @start_values.register
 def _(structure: RotorBearing, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
+    data = _without_unbalance(structure, data)
     _check_channels(structure, data.records, 2, 2)
     return {**bearing_start(structure, data.records, data.sample_time), **given}
 
@@ -62,6 +63,7 @@ def _(structure: PiezoPair, data: FitData, given: Mapping[str, float]) -> dict[s
 def _(structure: Plant, data: FitData, given: Mapping[str, float]) -> dict[str, float]:
     if not data.records[0].inputs.size:
         return _as_given(structure, given)
+    data = _without_unbalance(structure.bearing, data)
     _check_channels(structure, data.records, 2, 2 * len(structure.outputs))
     if "u" in structure.outputs:
         actuator_records = tuple(Record(r.name, r.inputs, r.outputs[:, :2]) for r in data.records)
@@ -105,6 +107,13 @@ def _check_channels(structure: Any, records: tuple[Record, ...], n_inputs: int, 
             f"structure {structure.name!r} has {n_inputs} inputs and {n_outputs} outputs; "
             f"the recordings give {found[0]} and {found[1]}"
         )
+
+
+def _without_unbalance(bearing: RotorBearing, data: FitData) -> FitData:
+    """Return the data without the last two inputs when they are the unbalance, which start values do not need."""
+    if not (bearing.unbalance and data.records[0].inputs.shape[1] == 4):
+        return data
+    return _like(data, tuple(Record(r.name, r.inputs[:, :2], r.outputs) for r in data.records))
 
 
 def _like(data: FitData, records: tuple[Record, ...]) -> FitData:

@@ -71,7 +71,7 @@ def windowed_records(
     Parameters
     ----------
     problem : Shooting
-        Problem of the fit, without ties between parameters.
+        Problem of the fit.
     theta : (n_p,) array
         Free parameters.
     starts : (n_windows, n) array
@@ -97,7 +97,7 @@ def windowed_records(
         ends = np.zeros((len(chain), n, n_p + n))
         for i, (k, window) in enumerate(zip(parts, chain, strict=True)):
             own = slopes[k].end[window - problem.first_window[k]]
-            ends[i][:, problem.parts[k].index] = own[:, :-n]
+            ends[i][:, problem.parts[k].index] = _onto(own[:, :-n], problem.parts[k].tie)
             ends[i][:, n_p:] = own[:, -n:]
         along = _trajectories(ends[:-1, :, n_p:], ends[:-1, :, :n_p], problem.state_scale, known)
         psi, errors, counted = [], [], []
@@ -105,12 +105,17 @@ def windowed_records(
             own, at = slopes[k], window - problem.first_window[k]
             live = slice(0, int(own.size[at]))
             by_start = own.psi[at, live, :, -n:] @ T
-            by_start[:, :, problem.parts[k].index] += own.psi[at, live, :, :-n]
+            by_start[:, :, problem.parts[k].index] += _onto(own.psi[at, live, :, :-n], problem.parts[k].tie)
             counts = own.counted[at, live]
             psi.append(by_start * counts[:, None, None])
             errors.append(own.errors[at, live] * counts[:, None])
             counted.append(counts)
         yield WindowedRecord(np.concatenate(psi), np.concatenate(errors), np.concatenate(counted))
+
+
+def _onto(slopes: FloatArray, tie: FloatArray | None) -> FloatArray:
+    """Return derivatives (..., n_own) by the parameters to which those of a predictor are tied."""
+    return slopes if tie is None else np.asarray(slopes @ tie)
 
 
 def window_slopes(part: RecordGroup, v: Any, starts: FloatArray) -> WindowSlopes:

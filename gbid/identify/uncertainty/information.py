@@ -10,12 +10,18 @@ import numpy as np
 from gbid.arrays import FloatArray, IntArray
 from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.kernel_protocol import Traced
-from gbid.identify.kernel.sweep import Sweep
+from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.adjoint import own_gradients
 from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
-from gbid.identify.uncertainty.sensitivities import RecordSensitivities, joined_segments, of_segment
+from gbid.identify.uncertainty.sensitivities import (
+    RecordSensitivities,
+    joined_segments,
+    of_segment,
+    tied_sensitivities,
+    tied_values,
+)
 
 _BLOCKS, _SHORTEST = 64, 8  # number of blocks of a record, in which scores are summed; samples in the shortest
 
@@ -72,7 +78,7 @@ def information_over_records(
     Parameters
     ----------
     problem : Shooting
-        Problem without ties between parameters.
+        Problem of the fit.
     block : int
         Largest number of samples of a block, for which gradients are summed.
     theta : (n_p,) array
@@ -106,19 +112,18 @@ def information_over_records(
         cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
         begin = starts[first + part.blocks.segment_first]
         passes.append(part.kernel.trace(v, cuts[-1], begin, weights))
-    _follow_segments(problem, [own[0].sums for own in passes], chains)
+    sums = [[tied(each.sums, part.tie) for each in own] for part, own in zip(problem.parts, passes, strict=True)]
+    _follow_segments(problem, [own[0] for own in sums], chains)
     gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
-    exact = _exact(problem, theta, starts, [own[0].sums for own in passes], weight) if observed else []
+    exact = _exact(problem, theta, starts, [own[0] for own in sums], weight) if observed else []
     whole = np.zeros((n_all, n_all))
-    for k, (part, own) in enumerate(zip(problem.parts, passes, strict=True)):
+    for k, (part, own) in enumerate(zip(problem.parts, sums, strict=True)):
         windows = problem.first_window[k] + part.blocks.segment_first
         along = [chains[int(window)][0] for window in windows]
         for total, each in zip(gauss_newton, own, strict=True):
-            hessian = PartHessian(each.sums.hessian, each.sums.hessian_mixed)
-            _add(total, part.index, hessian, each.sums.hessian_start, along)
+            _add(total, part.index, PartHessian(each.hessian, each.hessian_mixed), each.hessian_start, along)
         if observed:
-            symmetric = PartHessian((exact[k].theta + exact[k].theta.T) / 2, exact[k].mixed)
-            _add(whole, part.index, symmetric, own[0].sums.hessian_start, along)
+            _add(whole, part.index, _symmetric(exact[k], part.tie), own[0].hessian_start, along)
     sensitivities = _sensitivities(problem, theta, cuts, [own[0] for own in passes], chains)
     return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, sensitivities)
 
@@ -206,10 +211,16 @@ def _sensitivities(
                 of_segment(problem.parts[k].kernel, values[k], cuts[k], predictions[k], passes[k].linked, i),
                 problem.parts[k],
             )
-            segments.append((own, part.index, chains[at][0]))
+            segments.append((tied_sensitivities(own, part.tie), part.index, chains[at][0]))
             if part.predictor.feeds_back and part.predictor.horizon == 1:
-                feedback = part.kernel.feedback(values[k], cuts[k], predictions[k]), part.index
+                feedback = tied_values(part.kernel.feedback(values[k], cuts[k], predictions[k]), part.tie), part.index
         yield joined_segments(segments, feedback)
+
+
+def _symmetric(own: PartHessian, tie: FloatArray | None) -> PartHessian:
+    """Return the symmetric part of an exact Hessian, by the parameters to which those of the part are tied."""
+    theta = (own.theta + own.theta.T) / 2
+    return PartHessian(theta, own.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ own.mixed)
 
 
 def _add(

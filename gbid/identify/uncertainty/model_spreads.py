@@ -11,6 +11,7 @@ from gbid.arrays import FloatArray
 from gbid.discretise import Dual
 from gbid.identify.curves.slopes import model_slopes, nonlinear_slopes
 from gbid.identify.curves.uncertain_model import ModelSlopes
+from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nonlinear.working_point import linearised
 from gbid.identify.predictor import Predictor
@@ -42,6 +43,7 @@ def model_spreads(
     chosen: FloatArray,
     model: LinearModel | NonlinearModel,
     names: Sequence[str],
+    tie: FloatArray | None = None,
 ) -> ModelSpreads:
     """Return slopes and standard deviations; of a nonlinear model those of the linear one at its working point.
 
@@ -57,8 +59,12 @@ def model_spreads(
         Model of the first recording.
     names : sequence of str
         Names of the parameters of the structure.
+    tie : (n_own, n_p) array, optional
+        Matrix from all free parameters to the predictor's own at the model's point, for a scheduled structure.
     """
     part = problem.parts[0]
+    if tie is not None:
+        return _of_tied(part, theta, chosen, model, tie)
     if isinstance(part.predictor, Predictor):
         A, B, C, D, _, B_delayed, _ = part.predictor.matrices(theta[part.index])
         B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
@@ -75,3 +81,21 @@ def model_spreads(
     if np.linalg.cond(still.value) < 1e15:
         gain_std = spread(static_gain_slopes(still, B, C, D)[1], own)
     return ModelSpreads(slopes, spread(mode_slopes(A, dt)[1], own), gain_std)
+
+
+def _of_tied(
+    part: RecordGroup, theta: FloatArray, chosen: FloatArray, model: LinearModel | NonlinearModel, tie: FloatArray
+) -> ModelSpreads:
+    """Return the same where the parameters of the model are linear in the free ones."""
+    assert isinstance(part.predictor, Predictor)
+    own, every = tie @ theta, np.arange(len(tie))
+    of_own = model_slopes(part.predictor, own, every)
+    slopes = ModelSlopes(*(np.tensordot(tie.T, slope, 1) for slope in vars(of_own).values()))
+    A, B, C, D, _, B_delayed, _ = part.predictor.matrices(own)
+    B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
+    covariance, gain_std = tie @ chosen @ tie.T, np.full(D.value.shape, np.nan)
+    if not (np.isfinite(covariance).all() and np.isfinite(A.value).all()):
+        return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)
+    if np.linalg.cond(A.value) < 1e15:
+        gain_std = spread(static_gain_slopes(A, B, C, D)[1], covariance)
+    return ModelSpreads(slopes, spread(mode_slopes(A, None)[1], covariance), gain_std)

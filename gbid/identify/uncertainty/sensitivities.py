@@ -89,6 +89,23 @@ def of_segment(
     )
 
 
+def tied_sensitivities(own: SegmentSensitivities, tie: FloatArray | None) -> SegmentSensitivities:
+    """Return sensitivities by the parameters to which those of the predictor are tied; see `RecordGroup`."""
+    if tie is None:
+        return own
+    n = len(tie)
+    by_theta = np.einsum("op,yot->ypt", tie, own.psi[:, :n], optimize=True)
+    return own._replace(psi=np.concatenate([by_theta, own.psi[:, n:]], axis=1))
+
+
+def tied_values(v: PredictorValues, tie: FloatArray | None) -> PredictorValues:
+    """Return a predictor with derivatives by the parameters to which its own are tied."""
+    if tie is None:
+        return v
+    dF, dG, dC, dH = (np.tensordot(tie.T, slope, 1) for slope in (v.dF, v.dG, v.dC, v.dH))
+    return v._replace(dF=dF, dG=dG, dC=dC, dH=dH)
+
+
 def joined_segments(
     segments: list[tuple[SegmentSensitivities, IntArray, FloatArray]],
     feedback: tuple[PredictorValues, IntArray] | None,

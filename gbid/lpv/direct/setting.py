@@ -14,9 +14,10 @@ from gbid.identify.problem.ties import Ties
 from gbid.lpv.basis import EXPONENTS
 from gbid.lpv.model import LPVModel
 from gbid.lpv.surface_fit.regression import kron_designs
-from gbid.lpv.surface_fit.terms import Exponents, Orthonormal, orthonormal
+from gbid.lpv.surface_fit.terms import Orthonormal, orthonormal
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, Parameter, Structure
+from gbid.structure.scheduled.monomials import Exponents
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,11 +18,12 @@ from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.lpv.surface_fit.regression import Weighting, regression
 from gbid.lpv.surface_fit.scheduled_fit import ScheduledFit, fit_scheduled
-from gbid.lpv.surface_fit.terms import Exponents, Order, distinct_points
+from gbid.lpv.surface_fit.terms import Order, distinct_points
 from gbid.notes.model_notes import SurfaceNote
 from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
+from gbid.structure.scheduled.monomials import Exponents
 
 
 @overload

@@ -14,7 +14,8 @@ from gbid.brief import Brief
 from gbid.errors import DataError
 from gbid.hdf5 import Stored
 from gbid.lpv.basis import SCHEDULING
-from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, Exponents, check_points, orthonormal, varying_exponents
+from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, check_points, orthonormal, varying_exponents
+from gbid.structure.scheduled.monomials import Exponents
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,15 +20,14 @@ from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import OrderScore, best_order, compare_orders, lack_of_fit
 from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, Outlier, huber_estimate, outliers, standardised
 from gbid.lpv.surface_fit.terms import (
-    Exponents,
     Order,
     Orthonormal,
     chosen_exponents,
     orthonormal,
-    term_name,
     varying_exponents,
 )
 from gbid.notes.model_notes import SurfaceNote
+from gbid.structure.scheduled.monomials import Exponents, term_name
 from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
 from typing import Literal, NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.lpv.basis import EXPONENTS, SCHEDULING, TERMS, monomials
+from gbid.structure.scheduled.monomials import SCHEDULING, Exponents, exponents_of, monomials, term_name
 
-Exponents = tuple[tuple[int, ...], ...]
 Order = int | Literal["auto"] | Sequence[str]
 HIGHEST_ORDER = 3  # highest order that is compared; the model of a gas bearing has the six terms of Eq. 16 only
 _PLURAL = dict(zip(SCHEDULING, ("pressures", "speeds"), strict=True))
@@ -32,15 +30,6 @@ class Orthonormal(NamedTuple):
 
     columns: FloatArray
     back: FloatArray
-
-
-def exponents_of(order: int, n_variables: int = 2) -> Exponents:
-    """Return the powers of the scheduling variables up to a total order; for two in the order of `gbid.lpv.TERMS`."""
-    if n_variables == 2:
-        higher = [(i, total - i) for total in range(3, order + 1) for i in range(total, -1, -1)]
-        return (*(e for e in EXPONENTS if sum(e) <= order), *higher)
-    chosen = (c for total in range(order + 1) for c in combinations_with_replacement(range(n_variables), total))
-    return tuple(tuple(c.count(i) for i in range(n_variables)) for c in chosen)
 
 
 def varying_exponents(points: FloatArray, order: int) -> Exponents:
@@ -169,13 +158,3 @@ def _undetermined(points: FloatArray, exponents: Exponents, scheduling: Sequence
 def distinct_points(points: FloatArray) -> FloatArray:
     """Return the distinct operating points, (n_distinct, 2), sorted by pressure, then speed."""
     return np.unique(points, axis=0)
-
-
-def term_name(exponent: Sequence[int], scheduling: Sequence[str] = SCHEDULING) -> str:
-    """Return the name of a term: for a gas bearing as in `gbid.lpv.TERMS`, else as ``"current^2 gap"``."""
-    if tuple(scheduling) == SCHEDULING:
-        if tuple(exponent) in EXPONENTS:
-            return TERMS[EXPONENTS.index((exponent[0], exponent[1]))]
-        scheduling = ("P", "Omega")
-    powers = zip(scheduling, exponent, strict=True)
-    return " ".join(f"{name}^{power}" if power > 1 else name for name, power in powers if power) or "1"

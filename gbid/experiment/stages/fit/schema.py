@@ -92,12 +92,15 @@ _TREND = [{"enum": list(TREND_WORDS)}, {"type": "integer", "minimum": 0, "maximu
 
 
 class StructureOptions(Section):
-    """Options of a built-in structure."""
+    """Options of a built-in structure; `order` and `piece_s` are for scheduled ones, see `gbid.scheduled`."""
 
     delay: Literal["pade", "exact"] | None = None
     pade_order: Count | None = None
     disturbance_gain: Literal["full", "diagonal", "states", "none"] | None = None
     film: Literal["linear", "stiffening"] | None = None
+    unbalance: Switch | None = None
+    order: Annotated[int, Strict(), Field(ge=0, le=2)] | None = None
+    piece_s: Positive | None = None
 
 
 class PriorSection(Section):

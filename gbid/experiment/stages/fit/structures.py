@@ -17,8 +17,10 @@ from gbid.structure import (
     PiezoPair,
     Plant,
     RotorBearing,
+    ScheduledStructure,
     Structure,
     load_structure,
+    scheduled,
 )
 
 
@@ -34,12 +36,25 @@ def _plant(options: dict[str, Any]) -> Structure:
     return Plant(RotorBearing(**options))
 
 
-_OF_BEARING = ("delay", "pade_order", "disturbance_gain")
+def _scheduled(build: Callable[[dict[str, Any]], Structure]) -> Callable[[dict[str, Any]], ScheduledStructure]:
+    """Return the function that builds a scheduled structure from the options of the base and of its own."""
 
-BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure], tuple[str, ...]]] = {
+    def both(options: dict[str, Any]) -> ScheduledStructure:
+        own = {key: value for key, value in options.items() if key in _OF_SCHEDULE}
+        return scheduled(build({key: value for key, value in options.items() if key not in own}), **own)
+
+    return both
+
+
+_OF_BEARING = ("delay", "pade_order", "disturbance_gain", "unbalance")
+_OF_SCHEDULE = ("order", "piece_s")
+
+BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure | ScheduledStructure], tuple[str, ...]]] = {
     "rotor_bearing": (_rotor_bearing, (*_OF_BEARING, "film")),
     "piezo_pair": (_piezo_pair, ("disturbance_gain",)),
     "plant": (_plant, _OF_BEARING),
+    "scheduled_rotor_bearing": (_scheduled(_rotor_bearing), (*_OF_BEARING, *_OF_SCHEDULE)),
+    "scheduled_plant": (_scheduled(_plant), (*_OF_BEARING, *_OF_SCHEDULE)),
 }
 """Structures that come with gbid: function that builds each, and its options."""
 

@@ -16,6 +16,7 @@ from gbid.structure import (
     PiezoPair,
     Plant,
     RotorBearing,
+    ScheduledStructure,
     evaluate,
 )
 from gbid.structure.rotor_bearing import STIFFENING
@@ -42,7 +43,9 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
     """
     planned = [experiment.recordings[name] for name in recordings]
     points = {tuple(sorted(q.conditions.items())) for q in planned}
-    if len(points) != 1 or any(q.imported for q in planned) or not _is_built_in(structure):
+    if points != {tuple(sorted(planned[0].conditions.items()))} or "speed_rpm" not in planned[0].conditions:
+        return {}  # several operating points, or none, as along a course
+    if any(q.imported for q in planned) or not _is_built_in(structure):
         return {}
     known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
@@ -73,7 +76,7 @@ def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearMod
     """Return the structure at its true values; None when some are unknown. Disturbance gains are set to zero."""
     values = {q.name: 0.0 for q in structure.parameters if q.name.startswith("bd")} | truth
     if (
-        isinstance(structure, NonlinearStructure)
+        isinstance(structure, NonlinearStructure | ScheduledStructure)
         or not truth
         or any(q.name not in values for q in structure.parameters)
     ):

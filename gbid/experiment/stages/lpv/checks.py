@@ -8,9 +8,11 @@ from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import Found, Location
 from gbid.experiment.stages.fit.checks import a_fit_is_named
+from gbid.experiment.stages.fit.structures import structure_or_none
 from gbid.experiment.stages.lpv.plan import lpv_actuators
+from gbid.experiment.stages.lpv.schema import LpvSection
 from gbid.lpv.surface_fit.terms import check_points, chosen_exponents
-from gbid.structure import KEY_PARAMETERS
+from gbid.structure import KEY_PARAMETERS, ScheduledStructure
 
 
 def surfaces_can_be_drawn(experiment: Experiment) -> Found:
@@ -19,6 +21,11 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
     if section is None:
         return
     where: Location = ("lpv", "fit")
+    if section.fit in experiment.spec.fits and isinstance(
+        structure := structure_or_none(experiment, section.fit), ScheduledStructure
+    ):
+        yield from _of_scheduled(experiment, section, structure)
+        return
     yield from a_fit_is_named(experiment, where, section.fit, KEY_PARAMETERS, "name a fit of rotor_bearing or plant")
     if section.fit not in experiment.spec.fits:
         return
@@ -40,3 +47,16 @@ def surfaces_can_be_drawn(experiment: Experiment) -> Found:
             check_points(np.array(points), chosen_exponents(section.order))
         except GbidError as error:
             yield ("lpv", "order"), str(error)
+
+
+def _of_scheduled(experiment: Experiment, section: LpvSection, structure: ScheduledStructure) -> Found:
+    """Yield problems of surfaces that a scheduled structure has itself."""
+    if not experiment.spec.fits[section.fit].together:
+        text = f"{structure.name} has one model for all recordings; write together: true"
+        yield ("fits", section.fit, "together"), text
+    if section.direct:
+        yield ("lpv", "direct"), f"{structure.name} gives the surfaces straight from the recordings already; remove it"
+    try:
+        lpv_actuators(experiment, section)
+    except GbidError as error:
+        yield ("lpv", "actuators"), str(error)

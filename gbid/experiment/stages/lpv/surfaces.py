@@ -14,9 +14,9 @@ from gbid.experiment.stages.fit.structures import make_structure
 from gbid.experiment.stages.lpv.plan import lpv_actuators
 from gbid.experiment.stages.prefilter.stage import load_fit_input
 from gbid.identify import TableEntry, tabulate
-from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct
+from gbid.lpv import LPVFit, fit_lpv, fit_lpv_direct, lpv_of
 from gbid.lpv.model import ACTUATOR_PARAMETERS
-from gbid.structure import NonlinearStructure, Plant, RotorBearing
+from gbid.structure import NonlinearStructure, Plant, RotorBearing, ScheduledStructure
 from gbid.validate.validation_store import load_actuators
 
 DIRECT = "_direct"
@@ -68,6 +68,9 @@ class Surfaces:
         section, experiment = self._section, self._job.experiment
         if all(entry.result is None for entry in self._entries):
             raise InputError(f"fit {section.fit!r} has no results; run `gbid fit` or `gbid run` first")
+        structure = make_structure(experiment, section.fit)
+        if isinstance(structure, ScheduledStructure):
+            return self._of_scheduled()
         return fit_lpv(
             tabulate([*self._entries, *self._more.values()]),
             weighting=section.weighting,
@@ -80,6 +83,18 @@ class Surfaces:
             source=f"experiment {experiment.spec.name}, fit {section.fit}",
         )
 
+    def _of_scheduled(self) -> LPVFit:
+        """Return the surfaces that the fit of a scheduled structure found."""
+        (entry,), experiment = self._entries, self._job.experiment
+        assert entry.result is not None
+        return lpv_of(
+            entry.result,
+            actuators=self._actuators or None,
+            name=experiment.spec.name,
+            title=experiment.spec.title,
+            source=f"experiment {experiment.spec.name}, fit {self._section.fit}",
+        )
+
     def _direct(self) -> LPVFit:
         """Return the surfaces estimated directly from the recordings."""
         experiment, name = self._job.experiment, self._section.fit
@@ -87,9 +102,10 @@ class Surfaces:
         recordings = [load_fit_input(self._job, planned) for planned in experiment.fit_recordings(name)]
         hold = fit_arguments(experiment, name, recordings)["intersample"]
         structure = make_structure(experiment, name)
-        if isinstance(structure, NonlinearStructure):
+        if isinstance(structure, NonlinearStructure | ScheduledStructure):
             raise UsageError(
-                f"fit {name!r} is nonlinear: surfaces straight from the recordings are for linear structures"
+                f"fit {name!r}: surfaces straight from the recordings are for linear structures with constant "
+                "parameters"
             )
         return fit_lpv_direct(
             recordings,

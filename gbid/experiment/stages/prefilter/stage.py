@@ -27,6 +27,7 @@ from gbid.prefilter import (
     identify_runout,
     prefilter,
     save_prefilter,
+    with_unbalance,
 )
 from gbid.prefilter.align import refuse_lost_index
 from gbid.prefilter.prefilter_store import add_report, read_report
@@ -137,7 +138,7 @@ def _filtered(
             raw = align_index(runout_map, raw).apply(raw)
         else:
             refuse_lost_index(runout_map, raw)
-    return prefilter(
+    filtered, report = prefilter(
         raw,
         runout_map,
         spikes=section.spikes,
@@ -145,6 +146,8 @@ def _filtered(
         remove_mean=section.remove_mean,
         any_condition=planned.point == NO_POINT,
     )
+    turning = "speed_rpm" in filtered.signals and "phi" in filtered.signals
+    return with_unbalance(filtered) if turning else filtered, report
 
 
 def _write_map(job: Job, item: str, part: Path) -> Made:

@@ -15,7 +15,7 @@ from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.tune.design_goals import impact_of_goals
 from gbid.experiment.stages.tune.schema import ControllerSection
 from gbid.lpv import Domain, LPVModel, ProportionalDesign, load_model
-from gbid.structure import NonlinearStructure, load_structure
+from gbid.structure import NonlinearStructure, ScheduledStructure, load_structure
 from gbid.structure.linear import Structure
 
 SURFACES = {"lpv": "", "lpv_direct": "_direct"}
@@ -128,7 +128,7 @@ def design_structure(
         raise UsageError(f"no structure {section.structure!r}; {hint} (or name one of your own as file.py:name)")
     else:
         chosen = load_structure(section.structure, experiment.folder)
-        if isinstance(chosen, NonlinearStructure):
+        if isinstance(chosen, NonlinearStructure | ScheduledStructure):
             raise UsageError(f"structure {section.structure!r}: a controller is a gbid.LinearStructure")
         base = controller_structure(chosen, **options)
         if (len(base.inputs), len(base.outputs)) != (2, 2):

@@ -1,0 +1,1 @@
+"""Fits of structures whose parameters follow signals of the recordings."""

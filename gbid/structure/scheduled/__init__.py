@@ -1,0 +1,1 @@
+"""Structures whose parameters are polynomials in signals of the recording."""

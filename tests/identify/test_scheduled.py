@@ -1,0 +1,104 @@
+"""Scheduled structures: against fits with constant parameters, an integration of its own, and polynomials by hand."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+import gbid
+from gbid.errors import DataError, UsageError
+from gbid.structure.scheduled.schedule import Schedule
+
+DT = 1e-3
+
+
+def spring(p):
+    return {"A": [[0, 1], [-p.k, -p.d]], "B": [[0], [p.b]], "C": [[1, 0]]}
+
+
+BASE = gbid.LinearStructure(
+    "spring", [gbid.Parameter("k", 5e3), gbid.Parameter("d", 8.0), gbid.Parameter("b", 5e3)], spring, "u", "y"
+)
+
+
+@cache
+def ramp(noise: float = 1e-3, n: int = 1500) -> gbid.Recording:
+    """A spring whose stiffness follows a gap that opens, by Runge-Kutta steps of a fifth of a sample."""
+    random = np.random.default_rng(4)
+    u = np.repeat(random.choice([-1.0, 1.0], n // 20), 20)
+    gap = np.linspace(1.0, 3.0, n)
+    y, x, v, h, per_s = np.zeros(n), 0.0, 0.0, DT / 5, float(gap[1] - gap[0]) / DT
+
+    def force(held, t, x, v):
+        return -(6000.0 - 800.0 * (1.0 + per_s * t)) * x - 8.0 * v + 5000.0 * held
+
+    for i, held in enumerate(u.tolist()):
+        y[i] = x
+        for j in range(5):
+            t = (i + j / 5) * DT
+            a1, v1 = force(held, t, x, v), v
+            a2, v2 = force(held, t + h / 2, x + h / 2 * v1, v + h / 2 * a1), v + h / 2 * a1
+            a3, v3 = force(held, t + h / 2, x + h / 2 * v2, v + h / 2 * a2), v + h / 2 * a2
+            a4, v4 = force(held, t + h, x + h * v3, v + h * a3), v + h * a3
+            x, v = x + h / 6 * (v1 + 2 * v2 + 2 * v3 + v4), v + h / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    signals = {"u": u, "y": y + noise * random.normal(size=n), "gap": gap}
+    return gbid.Recording(signals, DT, name="ramp", units={"u": "N", "y": "m", "gap": "mm"})
+
+
+def test_constant_surfaces_are_the_fit_with_constant_parameters():
+    """Of order 0 the pieces share their parameters: nothing but the cuts differs from a usual fit."""
+    plain = gbid.fit(BASE, ramp(), engine="numpy")
+    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp(), engine="numpy")
+    assert result.success
+    assert result.options.schedule.pieces == 5
+    for name in ("k", "d", "b"):
+        assert result.parameters[f"{name}_0"] == pytest.approx(plain.parameters[name], abs=1e-4 * plain.std[name])
+        assert result.std[f"{name}_0"] == pytest.approx(plain.std[name], rel=1e-4)
+    np.testing.assert_allclose(result.model.modes(), plain.model.modes(), rtol=1e-5)
+    np.testing.assert_allclose(result.modes_std, plain.modes_std, rtol=1e-3)
+
+
+def test_surface_of_a_ramp_is_found_and_shorter_pieces_are_nearer():
+    found = {
+        piece: gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=piece), ramp(1e-5), engine="numpy")
+        for piece in (0.2, 0.05)
+    }
+    errors = {}
+    for piece, result in found.items():
+        assert result.success
+        k = [result.parameters[name] for name in ("k_0", "k_1")]
+        errors[piece] = abs(k[0] - 4400.0) + abs(k[1] + 800.0)
+    assert errors[0.05] < 10.0
+    assert errors[0.05] < 0.7 * errors[0.2]
+    noisy = gbid.fit(gbid.scheduled(BASE, "gap", surfaces=["k"], order=1, piece_s=0.05), ramp(), engine="numpy")
+    for name, true in (("k_0", 4400.0), ("k_1", -800.0), ("d", 8.0), ("b", 5000.0)):
+        assert abs(noisy.parameters[name] - true) < 4 * noisy.std[name]
+
+
+def test_coefficients_in_own_units_give_the_same_polynomial():
+    exponents = gbid.scheduled(gbid.RotorBearing()).exponents
+    schedule = Schedule(("pressure_bar", "speed_rpm"), (3.0, 500.0), (7.0, 6000.0), ("k",), exponents, 1)
+    random = np.random.default_rng(1)
+    coefficients, points = random.normal(size=6), random.uniform((3, 500), (7, 6000), (20, 2))
+    P, W = points.T
+    own = schedule.to_own_units @ coefficients
+    by_hand = own[0] + own[1] * P + own[2] * W + own[3] * W * P + own[4] * P**2 + own[5] * W**2
+    np.testing.assert_allclose(by_hand, schedule.terms(points) @ coefficients, rtol=1e-9, atol=1e-9)
+
+
+def test_what_courses_do_not_determine_is_named():
+    with pytest.raises(DataError, match="neither a signal nor a condition 'speed'"):
+        gbid.fit(gbid.scheduled(BASE, "speed"), ramp())
+    still = gbid.Recording({**ramp().signals, "gap": np.ones(1500)}, DT, name="still")
+    with pytest.raises(DataError, match="do not determine the 2 terms"):
+        gbid.fit(gbid.scheduled(BASE, "gap", order=1), still)
+    with pytest.raises(UsageError, match="surfaces: stiffness"):
+        gbid.scheduled(BASE, "gap", surfaces=["stiffness"])
+
+
+def test_result_of_a_schedule_is_no_model_of_a_recording():
+    result = gbid.fit(gbid.scheduled(BASE, "gap", order=0, piece_s=0.3), ramp(), engine="numpy", max_iterations=1)
+    with pytest.raises(UsageError, match="middle of their range"):
+        gbid.cross_validate(result, ramp())
+    with pytest.raises(UsageError, match="fourteen key parameters"):
+        gbid.lpv_of(result)
