@@ -18,6 +18,7 @@ from gbid.structure.nonlinear.first_steps import first_steps, over_a_sample
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.sampled_run import check_sample_time
 from gbid.structure.parameter import known_names
+from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
 
 _HEADROOM = 2  # doublings of the matrix exponential beyond those at the given values: for four times faster poles
 
@@ -88,6 +89,8 @@ def casadi_functions(
     known = {q.name: q.start for q in structure.parameters if q.start is not None} | dict(values or {})
     hold = structure.intersample if intersample is None else intersample
     structure = equations_of(structure)
+    if isinstance(structure, ScheduledStructure):
+        raise UsageError(f"{structure.name}: its matrices change on the way; give its base, structure.base")
     if isinstance(structure, NonlinearStructure):
         return _of_nonlinear(structure, sample_time, known, hold, steps)
     if steps is not None:
