@@ -55,8 +55,7 @@ if TYPE_CHECKING:
     from gbid.prefilter.identify_runout import identify_runout
     from gbid.prefilter.online import OnlinePrefilter
     from gbid.prefilter.prefilter import prefilter
-    from gbid.prefilter.unbalance_signal import with_unbalance
-    from gbid.recording import Recording, import_recording, load_recording, save_recording
+    from gbid.recording import Recording, import_recording, load_recording, save_recording, with_unbalance
     from gbid.structure import (
         ClosedLoop,
         LinearModel,
@@ -195,8 +194,8 @@ _HOME = {
         *("LPVFit", "LPVModel", "fit_lpv", "fit_lpv_direct"),
         *("load_lpv_fit", "load_model", "lpv_of", "save_lpv_fit"),
     ),
-    "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter", "with_unbalance"),
-    "recording": ("Recording", "import_recording", "load_recording", "save_recording"),
+    "prefilter": ("OnlinePrefilter", "align_index", "compare_runout", "identify_runout", "prefilter"),
+    "recording": ("Recording", "import_recording", "load_recording", "save_recording", "with_unbalance"),
     "structure": (
         *("LinearModel", "LinearStructure", "NonlinearModel", "NonlinearStructure", "Parameter"),
         *("ClosedLoop", "PiezoPair", "Plant", "RotorBearing", "ScheduledStructure"),

@@ -14,7 +14,6 @@ from gbid.prefilter.prefilter_store import load_prefilter, save_prefilter
 from gbid.prefilter.residual import RunoutResidual, runout_residual
 from gbid.prefilter.runout import RunoutMap
 from gbid.prefilter.spikes import Despiked, remove_spikes
-from gbid.prefilter.unbalance_signal import with_unbalance
 
 __all__ = [
     "Despiked",
@@ -34,7 +33,6 @@ __all__ = [
     "running_median",
     "runout_residual",
     "save_prefilter",
-    "with_unbalance",
 ]
 
 

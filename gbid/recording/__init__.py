@@ -7,6 +7,7 @@ from gbid.recording.quality_group import content_digest, find_group_problems
 from gbid.recording.quality_problem import ProblemKind, SignalProblem
 from gbid.recording.recording import Recording
 from gbid.recording.recording_store import load_recording, save_recording
+from gbid.recording.unbalance_signal import with_unbalance
 
 __all__ = [
     "FloatArray",
@@ -21,4 +22,5 @@ __all__ = [
     "import_recording",
     "load_recording",
     "save_recording",
+    "with_unbalance",
 ]

@@ -27,12 +27,11 @@ from gbid.prefilter import (
     identify_runout,
     prefilter,
     save_prefilter,
-    with_unbalance,
 )
 from gbid.prefilter.align import refuse_lost_index
 from gbid.prefilter.prefilter_store import add_report, read_report
 from gbid.prefilter.residual import leftover_words
-from gbid.recording import Recording, save_recording
+from gbid.recording import Recording, save_recording, with_unbalance
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.errors import DataError
-from gbid.recording import Recording
+from gbid.recording.recording import Recording
 from gbid.units import SIGNALS
 
 _RPM = np.pi / 30
