@@ -13,7 +13,7 @@ from gbid.identify.nlp.watch import Stop
 from gbid.identify.predictor import Focus
 from gbid.identify.robust.loss import RobustLoss
 from gbid.identify.uncertainty.bootstrap import Bootstrap, StdName
-from gbid.structure.scheduled.schedule import Schedule
+from gbid.structure.scheduling.schedule import Schedule
 
 
 @dataclass(frozen=True)

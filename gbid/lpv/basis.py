@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
-from gbid.structure.scheduled.monomials import EXPONENTS, SCHEDULING, TERMS
+from gbid.structure.scheduling.monomials import EXPONENTS, SCHEDULING, TERMS
 
 __all__ = ["EXPONENTS", "SCHEDULING", "TERMS", "basis", "polynomial", "regressors"]
 

@@ -14,7 +14,7 @@ from gbid.errors import UsageError
 from gbid.lpv.domain import check_range
 from gbid.structure import LinearModel, evaluate
 from gbid.structure.linear import Structure
-from gbid.structure.scheduled.monomials import monomials
+from gbid.structure.scheduling.monomials import monomials
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from gbid.structure.parameter import Parameter, Values, known_names
 from gbid.structure.piezo_pair import PiezoPair
 from gbid.structure.plant import Plant
 from gbid.structure.rotor_bearing import KEY_PARAMETERS, RotorBearing
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure, scheduled
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure, scheduled
 from gbid.structure.user import load_structure
 
 __all__ = [

@@ -14,8 +14,8 @@ from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_m
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.rotor_bearing import RotorBearing
-from gbid.structure.scheduled.schedule import coefficient_names
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
+from gbid.structure.scheduling.schedule import coefficient_names
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure
 
 AnyStructure = Structure | NonlinearStructure | ScheduledStructure
 """Structure of any kind."""

@@ -18,7 +18,7 @@ from gbid.structure.nonlinear.first_steps import first_steps, over_a_sample
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.sampled_run import check_sample_time
 from gbid.structure.parameter import known_names
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure
 
 _HEADROOM = 2  # doublings of the matrix exponential beyond those at the given values: for four times faster poles
 

@@ -7,7 +7,7 @@ import pytest
 
 import gbid
 from gbid.errors import DataError, UsageError
-from gbid.structure.scheduled.schedule import Schedule
+from gbid.structure.scheduling.schedule import Schedule
 
 DT = 1e-3
 

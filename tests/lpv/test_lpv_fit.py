@@ -15,7 +15,7 @@ from gbid.lpv.surface_fit.order import lack_of_fit
 from gbid.lpv.surface_fit.terms import orthonormal
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled.monomials import exponents_of
+from gbid.structure.scheduling.monomials import exponents_of
 
 GRID = np.array([point for point, _ in CAMPAIGN])
 K = len(KEY_PARAMETERS)

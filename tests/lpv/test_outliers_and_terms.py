@@ -18,7 +18,7 @@ from gbid.lpv.surface_fit.outliers import (
     threshold,
 )
 from gbid.lpv.surface_fit.terms import chosen_exponents, orthonormal
-from gbid.structure.scheduled.monomials import exponents_of, monomials, term_name
+from gbid.structure.scheduling.monomials import exponents_of, monomials, term_name
 
 
 def test_the_threshold_rises_with_the_number_of_entries() -> None:

@@ -11,7 +11,7 @@ from gbid.lpv import ScheduledModel
 from gbid.lpv.surface_fit.terms import chosen_exponents
 from gbid.share import share_folder
 from gbid.structure import evaluate, load_structure
-from gbid.structure.scheduled.monomials import exponents_of, term_name
+from gbid.structure.scheduling.monomials import exponents_of, term_name
 
 ROTOR = load_structure("rigid_rotor.py:structure", share_folder("models"))
 SPEEDS = (0.0, 4000.0, 8000.0, 12000.0)

@@ -12,8 +12,8 @@ from gbid.errors import DataError
 from gbid.identify.problem.ties import Ties
 from gbid.recording import Recording
 from gbid.structure import Parameter
-from gbid.structure.scheduled.schedule import Schedule
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
+from gbid.structure.scheduling.schedule import Schedule
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure
 
 _DARK = 1e-7  # terms are not determined when a singular value is below this share of the largest
 

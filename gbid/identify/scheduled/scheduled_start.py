@@ -19,7 +19,7 @@ from gbid.identify.scheduled.part_fit import PartFit, fit_part
 from gbid.identify.start.begin import Begin
 from gbid.notes.fit_notes import FitNote
 from gbid.structure import Parameter
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure
 
 _LENGTH_S, _SHORTEST, _MOST = 1.0, 200, 12  # usual part [s], samples of the shortest, and most parts of a recording
 _HUBER = 1.5

@@ -12,8 +12,8 @@ from gbid.errors import UsageError
 from gbid.identify.problem.ties import Ties
 from gbid.identify.scheduled.courses import Courses
 from gbid.structure import AnyStructure, Parameter
-from gbid.structure.scheduled.schedule import coefficient_names
-from gbid.structure.scheduled.scheduled_structure import ScheduledStructure
+from gbid.structure.scheduling.schedule import coefficient_names
+from gbid.structure.scheduling.scheduled_structure import ScheduledStructure
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from gbid.lpv.surface_fit.regression import kron_designs
 from gbid.lpv.surface_fit.terms import Orthonormal, orthonormal
 from gbid.recording import Recording
 from gbid.structure import KEY_PARAMETERS, Parameter, Structure
-from gbid.structure.scheduled.monomials import Exponents
+from gbid.structure.scheduling.monomials import Exponents
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,7 +23,7 @@ from gbid.notes.model_notes import SurfaceNote
 from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS
 from gbid.structure.linear import Structure, as_names
-from gbid.structure.scheduled.monomials import Exponents
+from gbid.structure.scheduling.monomials import Exponents
 
 
 @overload

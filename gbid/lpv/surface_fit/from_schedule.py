@@ -15,7 +15,7 @@ from gbid.lpv.model import ACTUATOR_PARAMETERS, LPVModel
 from gbid.lpv.surface_fit.estimates import Estimates
 from gbid.lpv.surface_fit.lpv_fit import LPVFit
 from gbid.structure import KEY_PARAMETERS
-from gbid.structure.scheduled.schedule import Schedule
+from gbid.structure.scheduling.schedule import Schedule
 
 
 def lpv_of(

@@ -15,7 +15,7 @@ from gbid.errors import DataError
 from gbid.hdf5 import Stored
 from gbid.lpv.basis import SCHEDULING
 from gbid.lpv.surface_fit.terms import HIGHEST_ORDER, check_points, orthonormal, varying_exponents
-from gbid.structure.scheduled.monomials import Exponents
+from gbid.structure.scheduling.monomials import Exponents
 
 
 @dataclass(frozen=True, eq=False)

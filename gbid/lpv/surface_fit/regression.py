@@ -27,7 +27,7 @@ from gbid.lpv.surface_fit.terms import (
     varying_exponents,
 )
 from gbid.notes.model_notes import SurfaceNote
-from gbid.structure.scheduled.monomials import Exponents, term_name
+from gbid.structure.scheduling.monomials import Exponents, term_name
 from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]

@@ -9,7 +9,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError, UsageError
-from gbid.structure.scheduled.monomials import SCHEDULING, Exponents, exponents_of, monomials, term_name
+from gbid.structure.scheduling.monomials import SCHEDULING, Exponents, exponents_of, monomials, term_name
 
 Order = int | Literal["auto"] | Sequence[str]
 HIGHEST_ORDER = 3  # highest order that is compared; the model of a gas bearing has the six terms of Eq. 16 only

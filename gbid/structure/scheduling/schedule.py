@@ -8,7 +8,7 @@ from math import comb, prod
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.structure.scheduled.monomials import Exponents, monomials
+from gbid.structure.scheduling.monomials import Exponents, monomials
 
 
 @dataclass(frozen=True)

@@ -13,8 +13,8 @@ from gbid.structure.linear import Structure
 from gbid.structure.parameter import Parameter
 from gbid.structure.plant import Plant
 from gbid.structure.rotor_bearing import KEY_PARAMETERS, RotorBearing
-from gbid.structure.scheduled.monomials import SCHEDULING, Exponents, exponents_of
-from gbid.structure.scheduled.schedule import coefficient_names
+from gbid.structure.scheduling.monomials import SCHEDULING, Exponents, exponents_of
+from gbid.structure.scheduling.schedule import coefficient_names
 
 HIGHEST_ORDER = 3
 
