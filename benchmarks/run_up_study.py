@@ -231,7 +231,7 @@ def draw(stored: dict[str, Any]) -> Any:
             low, high = (factor * (found + sign * 3 * std) for sign in (-1, 1))
             ax.fill_between(speed, low, high, color=f"C{colour}", alpha=0.25, linewidth=0)
         ax.set(xlabel="speed [rpm]", ylabel=f"{key} [{unit}]")
-    axes[0].legend(title=f"{word}; truth dashed", fontsize=8, title_fontsize=8)
+    axes[1].legend(title=f"{word}; truth dashed", fontsize=8, title_fontsize=8, loc="upper center")
     return figure
 
 

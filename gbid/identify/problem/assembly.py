@@ -173,8 +173,8 @@ def assemble(
     segments: list[list[tuple[Stretch, int]]] = []
     for i, (record, model) in enumerate(zip(data.records, model_of, strict=True)):
         begin_piece, edges = (i, ()) if ties is None else ties.pieces(i)
-        own = stretches(record, left_out.get(record.name, ()), first[model])
-        segments.append([(stretch, begin_piece + piece) for stretch, piece in in_pieces(own, edges)])
+        cut = stretches(record, left_out.get(record.name, ()), first[model])
+        segments.append([(stretch, begin_piece + piece) for stretch, piece in in_pieces(cut, edges)])
     strangers = [name for name in left_out if name not in [record.name for record in data.records]]
     if strangers:
         raise UsageError(f"left_out names recordings that are not fitted: {', '.join(strangers)}")
