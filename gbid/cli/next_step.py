@@ -15,6 +15,7 @@ _ORDER: Mapping[str, Callable[[Any], object]] = {
     "fit": lambda spec: spec.fits,
     "crossval": lambda spec: spec.crossval,
     "lpv": lambda spec: spec.lpv,
+    "excite": lambda spec: spec.excite,
     "tune": lambda spec: spec.controller,
     "impact": lambda spec: spec.impacts,
     "cycle": lambda spec: spec.cycle,

@@ -39,7 +39,7 @@ def test_the_stage_writes_what_the_reader_reads(tmp_path, capsys):
     (u,) = played.columns.values()
     assert len(u) == 2000
     assert 0.48 < np.abs(u).max() <= 0.5
-    assert gbid("excite", path, "--quiet") == 0, "kept"
+    assert gbid("excite", path) == 0, "kept, and the next step is named"
     text = file.read_text()
     file.write_text(text.replace("0.0005,", "0.0005,9", 1))
     with pytest.raises(DataError, match="changed after it was made"):
