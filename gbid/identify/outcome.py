@@ -13,6 +13,7 @@ from gbid.identify.nlp.solver import Solution
 from gbid.identify.nonlinear.working_point import at_working_point
 from gbid.identify.options import FitOptions
 from gbid.identify.problem.assembly import Assembly
+from gbid.identify.problem.feedback_test import feedback_notes
 from gbid.identify.problem.initial_states import InitialStates, released_states
 from gbid.identify.result import FitResult, StdKind
 from gbid.identify.robust.reweighting import Reweighted
@@ -20,7 +21,6 @@ from gbid.identify.scheduled.tied_equations import centre_tie
 from gbid.identify.uncertainty.bootstrap import Bootstrap
 from gbid.identify.uncertainty.covariance import FLATTEST, Covariance, covariance
 from gbid.identify.uncertainty.doubts import far_below_white, hardly_determined, may_cover_less, not_determined
-from gbid.identify.uncertainty.feedback_test import feedback_notes
 from gbid.identify.uncertainty.model_spreads import model_spreads
 from gbid.identify.uncertainty.whiteness import whiteness_test
 from gbid.identify.verdict import explains_nothing, verdict
