@@ -57,19 +57,43 @@ class FitProblem(Brief):
         return brief(self, about, parameters=[q.name for q in self._posed.assembly.free])
 
     def cost(self, x: Any) -> Any:
-        """Return the cost at scaled unknowns, numbers or MX symbols."""
+        """Return the cost.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
         return self.functions.value(x)[0]
 
     def constraints(self, x: Any) -> Any:
-        """Return the constraints: gaps, then those of the caller."""
+        """Return the constraints: gaps, then those of the caller.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
         return self.functions.value(x)[1]
 
     def gradient(self, x: Any) -> Any:
-        """Return the gradient of the cost."""
+        """Return the gradient of the cost.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
         return self.functions.gradient(x, [])[1]
 
     def jacobian(self, x: Any) -> Any:
-        """Return the Jacobian of the constraints, sparse."""
+        """Return the Jacobian of the constraints, sparse.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        """
         return self.functions.jacobian(x, [])[1]
 
     def hessian(self, x: Any, multipliers: Any = 0) -> Any:
@@ -77,6 +101,13 @@ class FitProblem(Brief):
 
         That of the squared errors is the one of Gauss and Newton, without second derivatives of the predictions. That
         of an extra cost and, times the `multipliers` of the constraints, of constraints of the caller is exact.
+
+        Parameters
+        ----------
+        x : (n,) array or casadi.MX
+            Scaled unknowns.
+        multipliers : (m,) array or casadi.MX
+            Multipliers of the constraints; zero by default.
         """
         return ca.triu2symm(self.functions.hessian(x, [], 1, multipliers))
 
@@ -93,7 +124,13 @@ class FitProblem(Brief):
         return {"x": x, "f": f, "g": g}
 
     def parameters(self, x: Any) -> dict[str, float]:
-        """Return the parameters by name, in their own units, at scaled unknowns."""
+        """Return the parameters by name, in their own units.
+
+        Parameters
+        ----------
+        x : (n,) array
+            Scaled unknowns.
+        """
         own = np.asarray(x, float).ravel() * self.scale
         return {q.name: float(v) for q, v in zip(self._posed.assembly.free, own, strict=False)}
 

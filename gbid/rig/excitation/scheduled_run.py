@@ -54,7 +54,15 @@ class Course:
     def ramp(
         cls, duration_s: float, pressure_bar: tuple[float, float] | float, speed_rpm: tuple[float, float] | float
     ) -> Course:
-        """Return a straight change from the first to the second value of each, over a time [s]."""
+        """Return a straight change of pressure and speed.
+
+        Parameters
+        ----------
+        duration_s : float
+            Time of the change [s].
+        pressure_bar, speed_rpm : (float, float) or float
+            First and last value; one number stays [bar, rpm].
+        """
         return cls((0.0, duration_s), pressure_bar, speed_rpm)
 
     @classmethod

@@ -62,6 +62,8 @@ class ClosedLoop(Brief):
         Signals of the recordings: what is injected, ``"w"`` by default, and by default the outputs of the structure.
     pade_order : int
         Order of the Padé filters.
+    name : str
+        Name of the loop; by default that of the plant and of the controller.
 
     Raises
     ------
