@@ -19,6 +19,7 @@ from gbid.control import (
     smallest_damping,
     tune_robust,
 )
+from gbid.control.tuning.plants.uncertainty import _root
 from gbid.control.tuning.robust.plant_draws import lower_bound
 from gbid.errors import UsageError
 from gbid.lpv import TERMS
@@ -85,6 +86,15 @@ def test_sampled_designs_are_tried_as_sampled_loops() -> None:
     robust = tune_robust(MODEL, "P", goals=GOALS, sample_time=2e-4, **options)
     assert robust.result.sample_time == 2e-4
     assert robust.fresh.value.min() > 0
+
+
+def test_a_covariance_may_be_singular_but_not_negative() -> None:
+    direction = np.array([[3.0], [-4.0], [0.0]])
+    singular = direction @ direction.T
+    root = _root(singular)
+    np.testing.assert_allclose(root @ root.T, singular, atol=1e-12)
+    with pytest.raises(UsageError, match="negative direction"):
+        _root(np.array([[1.0, 2.0], [2.0, 1.0]]))
 
 
 def test_order_statistic_and_bound_are_known_ones() -> None:

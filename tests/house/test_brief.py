@@ -59,6 +59,7 @@ def test_table(folder):
     assert lines[1].split() == ["fit", "3", "spring"]
     assert str(table) == repr(table)
     assert "also: model," in repr(table)
+    assert "parameter_names" in table._repr_html_()
     assert lines_of(table.select(fit="spring", success=True))[0] == "FitTable: 2 fits, 2 converged"
 
 
@@ -84,6 +85,7 @@ def test_recording(folder):
 def test_models_and_loops(machine):
     assert lines_of(machine)[0].startswith("LPVModel: ")
     assert "3 to 7 bar, 0 to 6000 rpm" in repr(machine)
+    assert "a doubt" in replace(machine, notes=("a doubt",))._repr_html_()
     plant = machine.plant_at(6, 0)
     loop = gbid.sensitivities(plant, gbid.LinearModel([[-1.0]], [[0.0, 0.0]], [[0.0], [0.0]], 0.1 * np.eye(2)))
     assert len(lines_of(loop)) == 3

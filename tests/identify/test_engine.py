@@ -24,6 +24,7 @@ from fit_cases import (
     simulated,
     smooth,
 )
+from nonlinear_cases import SAME, mass_recording
 from places import SUPPORT
 
 from gbid import compiling
@@ -342,6 +343,18 @@ def test_the_cache_folder_is_the_users_unless_named(fresh, tmp_path):
 
 
 # ---- machines without a compiler ----
+
+
+def test_without_a_compiler_nonlinear_structures_use_the_map(fresh, tmp_path):
+    fresh.setenv("GBID_CACHE_DIR", str(tmp_path))
+    fresh.setenv("CC", "/nonexistent/cc")
+    recording = mass_recording(3, n=60)
+    result = fit(SAME["nonlinear"], recording, max_iterations=2)
+    assert result.options.engine == "numpy"
+    assert any("CasADi's map was used, which is slower" in note for note in result.notes)
+    with pytest.raises(UsageError, match=r"engine = 'compiled': no C compiler found"):
+        fit(SAME["nonlinear"], recording, engine="compiled")
+
 
 DATA = simulated(MODE, MODE_AT, levels(300), noise=0.3)
 

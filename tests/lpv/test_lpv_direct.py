@@ -114,6 +114,7 @@ def test_delays_of_recordings_are_kept_from_below_zero(scattered, repeating):
     start, steps = replace(PAPER, coefficients=moved), []
     options = {"structure": EXACT, "focus": "simulation", "fixed": FIXED, "scatter": False}
     assert found.success
+    assert 0 < int(found.options["iterations"]) <= len(first)
     assert gbid.fit_lpv_direct(scattered, start, progress=steps.append, **options).success
     assert steps[-1].cost == pytest.approx(first[-1].cost, abs=1e-8)
     delays = [found.model.key_parameters(*point)[key] for point in POINTS for key in ("tau_x", "tau_y")]

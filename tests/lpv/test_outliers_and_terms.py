@@ -63,6 +63,19 @@ def test_hubers_location_solves_its_equation() -> None:
     assert found.clipped[5, 0] == pytest.approx(found.coefficients[0] + size, abs=0.05 * size)
 
 
+def test_data_of_large_and_small_errors_are_clipped_alike() -> None:
+    """Each row by its own standard deviation: an exact row far off is clipped, as far a coarse one is not."""
+    e = np.random.default_rng(2).standard_normal(60)
+    std = np.where(np.arange(60) < 30, 0.01, 1.0)
+    y = (std * e)[:, None]
+    y[0], y[30] = 0.5, 0.5
+    found = huber_estimate(y, np.ones((60, 1, 1)), std[:, None, None] ** 2)
+    assert found.clipped[0, 0] < 0.2
+    assert found.clipped[30, 0] == pytest.approx(0.5)
+    assert found.cost == pytest.approx(_VARIANCE / CLIPPING_SLOPE**2)
+    assert found.cost == pytest.approx(1 / 0.95, abs=2e-3)
+
+
 def test_terms_have_their_order_and_names() -> None:
     assert exponents_of(0) == ((0, 0),)
     assert exponents_of(1) == ((0, 0), (1, 0), (0, 1))
