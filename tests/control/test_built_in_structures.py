@@ -118,6 +118,7 @@ def test_bounds_of_full_pd_are_symmetric_and_checked() -> None:
     form = controller_structure("full PD", kd_limit_ms=2.0)
     kappas = {(p.lower, p.upper) for p in form.parameters if p.name.startswith("kappa")}
     assert kappas == {(-3.0, 3.0)}
+    assert form.kd_limit_ms != controller_structure("full PD").kd_limit_ms == controller_structure("PD").kd_limit_ms
     for wrong in ({"lowpass_hz": -1.0}, {"axes": ("x", "x")}):
         with pytest.raises(UsageError):
             controller_structure("full PD", **wrong)
@@ -129,6 +130,7 @@ def test_chosen_channels_keep_their_delay() -> None:
         input_names=("a", "b"), output_names=("p",),
     )  # fmt: skip
     (plant,) = checked_models([two], controller_structure("P", axes=("",)), ["b"], None)
+    assert (plant.input_names, plant.output_names) == (("b",), ("p",))
     np.testing.assert_array_equal(plant.B_delayed, [[5.0]])
     np.testing.assert_array_equal(plant.delay, [0.3])
 

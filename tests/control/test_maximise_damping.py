@@ -10,6 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
+from gbid.control.tuning.maximise import _check_counts
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import families_of, loop_equations
 from gbid.control.tuning.search.nonsmooth.active import merit
@@ -18,6 +19,7 @@ from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.control.tuning.search.sqp import optimise_locally
+from gbid.errors import UsageError
 
 
 def delayed_loop(a: float, tau: float) -> ca.Function:
@@ -285,3 +287,10 @@ def test_direct_calls_give_what_casadi_gives() -> None:
     before = loops.A.copy()
     family.derivatives(0.5 * x)
     np.testing.assert_array_equal(loops.A, before)
+
+
+def test_counts_begin_at_what_makes_sense() -> None:
+    _check_counts(0, 0, 1)
+    for wrong in ((-1, 1, 1), (0, -1, 1), (0, 1, 0)):
+        with pytest.raises(UsageError, match="give an integer of at least"):
+            _check_counts(*wrong)

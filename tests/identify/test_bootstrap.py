@@ -8,7 +8,7 @@ from scipy.stats import t as student
 
 from gbid.errors import UsageError
 from gbid.identify import fit, load_fit, save_fit
-from gbid.identify.uncertainty.bootstrap import Bootstrap, Estimator, bootstrap_factors
+from gbid.identify.uncertainty.bootstrap import _FEWEST, Bootstrap, Estimator, asked_bootstrap, bootstrap_factors
 from gbid.identify.uncertainty.error_model import ErrorModel
 from gbid.identify.uncertainty.score_covariance import transformed
 from gbid.identify.uncertainty.sensitivities import RecordSensitivities
@@ -23,6 +23,12 @@ def coloured(n=600, seed=1):
 @pytest.fixture(scope="module")
 def result():
     return fit(MODE, coloured(), focus="simulation", std="bootstrap", bootstrap_draws=60)
+
+
+def test_the_fewest_draws_are_those_of_a_quantile():
+    assert asked_bootstrap("bootstrap", _FEWEST, None) == Bootstrap(_FEWEST, 0)
+    with pytest.raises(UsageError, match="at least"):
+        asked_bootstrap("bootstrap", _FEWEST - 1, None)
 
 
 def test_it_is_a_kind_of_its_own(result):

@@ -9,7 +9,7 @@ from gbid.errors import DataError, UsageError
 from gbid.identify import fit
 from gbid.identify.curves.delay_estimate import estimate_delay
 from gbid.identify.curves.pole_zero import ellipse, pole_zero
-from gbid.identify.curves.time_response import time_response
+from gbid.identify.curves.time_response import _settling, time_response
 from gbid.recording import Recording
 from gbid.structure import LinearModel, LinearStructure, Parameter, evaluate
 from gbid.tables.csv import csv_text
@@ -167,6 +167,11 @@ def test_a_delay_is_found_to_the_sample(tau, hold):
     found = estimate_delay(rec)
     assert found.lag - 1 == int(tau / H + 1e-9)
     assert found.delay_s == pytest.approx(int(tau / H + 1e-9) * H)
+
+
+def test_a_drift_does_not_make_a_response_long():
+    drifting = LinearModel(np.diag([-1e-5, -1e6]), [[1.0], [1.0]], [[1.0, 1.0]], [[0.0]])
+    assert _settling(drifting) < 1e-3
 
 
 def test_a_delay_at_the_end_of_the_search_is_found():

@@ -10,6 +10,7 @@ from study_rig import CAMPAIGN, PAPER, POINTS
 import gbid
 from gbid.errors import DataError, UsageError
 from gbid.lpv import Estimates, characteristics, regressors
+from gbid.lpv.surface_fit.estimates import _finite
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import lack_of_fit
 from gbid.lpv.surface_fit.terms import orthonormal
@@ -245,6 +246,13 @@ def test_a_negative_delay_is_told_with_its_place():
     assert note.startswith("tau_y is negative in part of the domain, -0.00")
     assert "bar" in note
     assert not any("negative" in n for n in gbid.fit_lpv(data).notes)
+
+
+def test_fits_that_did_not_converge_are_left_out_by_name():
+    data, _ = campaign(seed=13)
+    converged = np.arange(len(data.recordings)) != 4
+    assert _finite(data, converged).left_out == ("r4: its fit did not converge",)
+    assert len(_finite(data, converged).recordings) == len(data.recordings) - 1
 
 
 def test_failed_and_broken_fits_are_left_out_by_name():

@@ -130,6 +130,7 @@ def test_runout_residual_measures_noise_and_a_line_beside_it():
     np.testing.assert_allclose(left.noise, NOISE, rtol=0.03)
     assert left.frequency_hz[0] == pytest.approx(47.0, abs=0.2)
     assert left.order[0] == pytest.approx(47.0 * 60 / 5900, rel=0.01)
+    np.testing.assert_allclose(left.order, left.frequency_hz * 60 / 5900, rtol=1e-6)
     assert left.non_synchronous[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
     assert left.line_rms[0] == pytest.approx(0.4e-6 / np.sqrt(2), rel=0.01)
     assert left.over_noise[1] == pytest.approx(1.0, abs=0.03)
