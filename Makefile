@@ -12,7 +12,7 @@ export OMP_NUM_THREADS := 1
 # The tests start hundreds of processes: each would compile the whole package anew where this forbids to keep that.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: run paper test test-quick lint types imports unit test-slow mutants fuzz bench docs release-check clean help
+.PHONY: run paper test test-quick lint types imports unit test-slow mutants kills fuzz bench docs release-check clean help
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 14
@@ -82,6 +82,10 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.tune_speed --output docs/tune-speed.json
 	$(BIN)/python -m benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
+
+mutants: $(VENV)/.installed-test  ## put 300 small faults into the source, one at a time, and count those that the tests notice
+	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
+	$(BIN)/python -m benchmarks.mutants
 
 kills: $(VENV)/.installed  ## kill gbid at 1000 random instants, in all verbs, and count what is lost, made twice or left
 	$(BIN)/python -m benchmarks.kills --output docs/kills.json
