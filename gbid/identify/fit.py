@@ -141,8 +141,9 @@ def fit(
         Known frequencies [Hz] of sinusoids in all outputs, whose amplitudes are estimated along for each recording.
     initial_state : {"auto", "estimated", "zero", "structure"}, sequence or dict
         Initial state of each recording: estimated, or ``x0`` of the structure, a function of the parameters. "auto" is
-        "structure" when the structure gives `x0`, else "estimated". A sequence has a number, ``"estimated"`` or
-        ``"structure"`` for each state. A dict gives one of these to each recording by name.
+        "structure" when the structure gives `x0`, else "estimated"; in a `ClosedLoop` delays begin at rest. A
+        sequence has a number, ``"estimated"`` or ``"structure"`` for each state. A dict gives one of these to each
+        recording by name.
     left_out : dict of str to sequence of (start, stop), optional
         Samples of recordings, by name, whose errors do not count (a rub, a dropout). The model is simulated there.
     window : int, None or "auto"
@@ -261,7 +262,7 @@ def fit(
             asked.states,
             light,
         )
-        notes = (*more, *first.notes, *overflow_notes(solution.overflows), *decay_notes(data))
+        notes = (*more, *first.notes, *asked.states.notes, *overflow_notes(solution.overflows), *decay_notes(data))
         notes = (*notes, *extra_notes(problem, solution.unknowns))
         result = with_integration_error(replace(result, notes=(*result.notes, *notes)), shift)
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)

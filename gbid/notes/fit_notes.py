@@ -140,3 +140,10 @@ class FitNote(NoteKind):
         "Free a disturbance gain (disturbance_gain='states', focus='prediction'), or fit gbid.ClosedLoop to what was "
         "injected.",
     )
+    AT_REST = Explanation(
+        "GB122",
+        "delays of a loop begin at rest",
+        "Filters of delays, and what acts through actuators that no output shows, soon forget their start. Noisy data "
+        "do not determine these states at the first sample, and a fit that estimates them hardly converges.",
+        "Nothing; `initial_state` sets each state.",
+    )

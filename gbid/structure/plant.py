@@ -60,6 +60,15 @@ class Plant(Brief):
         """Parameters of the actuators, then those of the rotor-bearing."""
         return (*self.actuators.parameters, *self.bearing.parameters)
 
+    @property
+    def forgotten_states(self) -> tuple[int, ...]:
+        """States of the delays, and of actuators that no output shows: they forget their start within milliseconds."""
+        n_a = 4
+        if self.bearing.delay == "exact":  # see `_with_exact_delay`
+            return tuple(range(n_a, 2 * n_a) if self._explains_u else range(n_a))
+        shown = () if self._explains_u else range(n_a)
+        return (*shown, *(n_a + i for i in self.bearing.forgotten_states))
+
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices A, B, C, D and K of the series connection."""
         act, whole = self.actuators.matrices(p), self.bearing.matrices(p)

@@ -148,6 +148,11 @@ class RotorBearing(Brief):
         C = ca.horzcat(eye, ca.SX(2, 2 + 2 * n_tau))
         return {"A": A, "B": B, "C": C, "D": zero, "K": ca.vertcat(self._gain(p), ca.SX(2 * n_tau, 2))}
 
+    @property
+    def forgotten_states(self) -> tuple[int, ...]:
+        """States of the Padé filters, which forget their start within milliseconds; none with exact delays."""
+        return () if self.delay == "exact" else tuple(range(4, 4 + 2 * self.pade_order))
+
     def _gain_names(self) -> list[str]:
         velocities = [f"bd_{pair}" for pair in PAIRS]
         return {

@@ -158,3 +158,25 @@ def test_errors_that_come_back_in_the_input_are_noted():
 def _gain(value):
     none = np.zeros((0, 0))
     return LinearModel(none, np.zeros((0, 1)), np.zeros((1, 0)), np.array([[value]]), dt=H, name="gain")
+
+
+def test_states_that_are_soon_forgotten_begin_at_rest():
+    """What is at rest decays in 0.1 s; actuators that u shows, the motion, and an integrating controller do not."""
+    corner, none = 2000.0 * np.eye(2), np.zeros((2, 2))
+    low_pass = LinearModel(-corner, corner, 0.3 * np.eye(2), none, name="low-pass")
+    integral = LinearModel(none, np.eye(2), np.eye(2), none, name="integral")
+    exact = gbid.RotorBearing(delay="exact")
+    at_rest = {
+        "exact, u and p": gbid.ClosedLoop(gbid.Plant(exact), low_pass),  # 4 + 4 late + 4, 6 of delays, 2
+        "exact, p": gbid.ClosedLoop(gbid.Plant(exact, outputs=("p",)), low_pass),  # 4 late + 4, 6, 2
+        "exact, p, integral": gbid.ClosedLoop(gbid.Plant(exact, outputs=("p",)), integral),
+        "Pade, p": gbid.ClosedLoop(gbid.Plant(outputs=("p",)), low_pass),  # 4 + 4 + 2 of delays, 2
+        "Pade": gbid.ClosedLoop(gbid.Plant(), low_pass),
+    }
+    assert {name: list(loop.forgotten_states) for name, loop in at_rest.items()} == {
+        "exact, u and p": [4, 5, 6, 7, *range(12, 18)],
+        "exact, p": [0, 1, 2, 3, *range(8, 16)],
+        "exact, p, integral": [0, 1, 2, 3, *range(8, 14)],
+        "Pade, p": [0, 1, 2, 3, *range(8, 12)],
+        "Pade": [8, 9],
+    }

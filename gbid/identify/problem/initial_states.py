@@ -11,7 +11,8 @@ import numpy as np
 from gbid.arrays import BoolArray, FloatArray, IntArray
 from gbid.errors import DataError, UsageError
 from gbid.identify.nlp.shooting import Shooting
-from gbid.structure import AnyStructure, Parameter, anatomy
+from gbid.notes.fit_notes import FitNote
+from gbid.structure import AnyStructure, ClosedLoop, Parameter, anatomy
 
 OwnState = Literal["estimated", "zero", "structure"] | Sequence[float | Literal["estimated", "structure"]]
 InitialState = Literal["auto"] | OwnState | Mapping[str, OwnState]
@@ -30,11 +31,14 @@ class InitialStates:
         act like an impulse at the first sample, whose response starts from there.
     word : {"estimated", "zero", "structure", "given"}
         The common choice for all recordings; "given" when there are several.
+    notes : tuple of str
+        What was chosen for the caller.
     """
 
     values: FloatArray
     released: BoolArray
     word: Literal["estimated", "zero", "structure", "given"]
+    notes: tuple[str, ...] = ()
 
     @property
     def known(self) -> BoolArray:
@@ -72,8 +76,13 @@ def initial_states(
     """
     own_parts = anatomy(structure)
     n, stated = own_parts.n_states, bool(own_parts.in_x0)
+    notes: tuple[str, ...] = ()
     if isinstance(asked, str) and asked == "auto":
         asked = "structure" if stated else "estimated"
+        rest = structure.forgotten_states if isinstance(structure, ClosedLoop) and not stated else ()
+        if rest:
+            asked = [0.0 if i in rest else "estimated" for i in range(n)]
+            notes = (FitNote.AT_REST(f"{len(rest)} states that are soon forgotten are zero at the first sample"),)
     own = asked if isinstance(asked, Mapping) else dict.fromkeys(recordings, asked)
     if set(own) != set(recordings):
         wrong = ", ".join(sorted(set(own) ^ set(recordings)))
@@ -95,7 +104,7 @@ def initial_states(
             "(fixed=...), or use initial_state='structure'"
         )
     word = asked if isinstance(asked, str) else "given"
-    return InitialStates(values, released, word)  # type: ignore[arg-type]  # `_entries` has refused other words
+    return InitialStates(values, released, word, notes)  # type: ignore[arg-type]  # `_entries` has refused other words
 
 
 def released_states(problem: Shooting, theta: FloatArray, record_window: IntArray) -> FloatArray:

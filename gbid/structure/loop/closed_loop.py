@@ -20,9 +20,13 @@ from gbid.structure.loop.pade_matrices import pade_matrices
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
+from gbid.structure.plant import Plant
+from gbid.structure.rotor_bearing import RotorBearing
 
 PREFIX = "controller_"
 """What precedes the gains of a controller in the names of the parameters of a loop."""
+
+_SLOWEST = 40.0  # [1/s] a state falls to 2 % in a tenth of a second
 
 Injection = Literal["plant input", "set point"]
 
@@ -153,6 +157,21 @@ class ClosedLoop(Brief):
         """Parameters of the plant, then the gains."""
         return (*self.structure.parameters, *self.gains)
 
+    @property
+    def forgotten_states(self) -> tuple[int, ...]:
+        """States that begin at rest: those of delays, and what acts through actuators that no output shows.
+
+        They forget their start within milliseconds, so that noisy data do not tell it.
+        """
+        _, m = symbolic_matrices(self.structure)
+        late = len(set(m.B_delayed.sparsity().get_triplet()[1])) if m.has_delay else 0
+        n = m.n_states + late * self.pade_order
+        own = self.structure.forgotten_states if isinstance(self.structure, Plant | RotorBearing) else ()
+        hidden = isinstance(self.structure, Plant) and "u" not in self.structure.outputs and not self.gains
+        law = self.controller_model() if hidden else None
+        unseen = range(n, n + law.n_states) if law is not None and _forgets(law) else ()
+        return (*own, *range(m.n_states, n), *unseen)
+
     def matrices(self, p: Values) -> dict[str, Any]:
         """Return the matrices of the loop; of a sampled one those of the plant, with its controller as "feedback"."""
         plant, law = self._plant(p), self._law(p)
@@ -213,6 +232,13 @@ class ClosedLoop(Brief):
             raise UsageError(
                 f"{where}: both have direct feedthrough; give the controller a low-pass or a computation time"
             )
+
+
+def _forgets(law: LinearModel) -> bool:
+    """Return whether a controller forgets its start within a tenth of a second, which one that integrates does not."""
+    poles = np.linalg.eigvals(law.A)
+    rates = poles.real if law.dt is None else np.log(np.maximum(np.abs(poles), 1e-300)) / law.dt
+    return bool(np.all(rates < -_SLOWEST))
 
 
 def _size(controller: LinearModel | Structure) -> tuple[int, int]:
