@@ -10,6 +10,7 @@ import datetime
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -109,6 +110,51 @@ def _size(case: LoopCase, name: str) -> float:
     return max(abs(v) for key, v in case.truth.items() if key in KEY_PARAMETERS and key[:2] == name[:2])
 
 
+def price(case: LoopCase, seeds: Sequence[int]) -> dict[str, Any]:
+    """Return standard deviations in the loop beside those of open-loop recordings of equal length and equal peaks.
+
+    The amplitude in open loop is the one whose largest movement of the disc is that of the loop.
+    """
+    start = {**before_values(), **gbid.load_model("theisen2016").actuators}
+    small, ratios, amplitudes = replace(case, amplitude=1e-6), [], []
+    for seed in seeds:
+        held = case.recording(seed)
+        scale = _peak(held) / _peak(small.recording(seed, closed=False))
+        free = replace(case, amplitude=scale * small.amplitude)
+        amplitudes.append(free.amplitude)
+        apart = gbid.fit(gbid.Plant(bearing("states")), free.recording(seed, closed=False), start=start)
+        _, std, _ = _direct(held)
+        ratios.append([(std or {})[key] / apart.std[key] for key in KEY_PARAMETERS])
+    by_name = np.nanmedian(np.array(ratios), axis=0)
+    return {
+        "recordings": len(seeds),
+        "amplitude": float(np.median(amplitudes)),
+        "std_ratio": {key: float(v) for key, v in zip(KEY_PARAMETERS, by_name, strict=True)},
+    }
+
+
+def _peak(recording: gbid.Recording) -> float:
+    return float(np.abs(recording.signal("p")).max())
+
+
+def price_text(run: Mapping[str, Any], amplitude: float) -> str:
+    """Return what the loop costs in precision, as a sentence and a table."""
+    found = run["price"]
+    ratios = found["std_ratio"]
+    return "\n".join(
+        [
+            f"References of {1e6 * amplitude:.1f} um in the loop move the disc as far as "
+            f"{1e6 * found['amplitude']:.1f} um without it. Standard deviation in the loop (direct method) over that "
+            "in open loop, median of "
+            f"{found['recordings']} pairs of recordings:",
+            "",
+            f"| {' | '.join(ratios)} |",
+            f"|{'---|' * len(ratios)}",
+            f"| {' | '.join(f'{v:.2f}' for v in ratios.values())} |",
+        ]
+    )
+
+
 def study(seeds: int, cases: Sequence[LoopCase] = CASES) -> dict[str, Any]:
     """Run all ways on the recordings of all cases."""
     run: dict[str, Any] = {"date": datetime.date.today().isoformat(), "gbid": gbid.__version__, "seeds": seeds}
@@ -119,6 +165,8 @@ def study(seeds: int, cases: Sequence[LoopCase] = CASES) -> dict[str, Any]:
         for way in WAYS:
             run["cases"][case.name][way] = measure(case, way, recordings)
             print(case.name, way, json.dumps(run["cases"][case.name][way]), flush=True)
+    run["price"] = price(CASES[0], range(seeds))
+    print("price", json.dumps(run["price"]), flush=True)
     return run
 
 
