@@ -147,6 +147,7 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         "crossval",
         "crossval_summary",
         "excite",
+        "cycle",
         "target",
         "nominal",
         "lpv",

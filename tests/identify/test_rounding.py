@@ -34,6 +34,7 @@ def stated(monkeypatch, apart, rounding):
         n_samples=N,
         weight=lambda products: np.eye(1),
         prior=SimpleNamespace(information=np.zeros(2)),
+        extra=None,
     )
     held = np.zeros(2, bool)
     products = errors.T @ errors

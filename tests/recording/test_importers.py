@@ -114,9 +114,9 @@ def test_csv_dialects(tmp_path, sep, encoding, eol):
 def test_csv_with_comments_quotes_blanks_and_text_in_other_columns(tmp_path):
     path = tmp_path / "a.csv"
     path.write_text('# rig, 7\n\n"time; s"; "p_x (um)"; note\n0 ;1.5; "a;b"\n # stop\n1; -2e0;\n\n2;"3";x\n')
-    rec = import_recording(path, {"signals": {"w": {"columns": "p_x"}}, "time": "time; s"})
-    np.testing.assert_array_equal(rec.signals["w"], [[1.5], [-2.0], [3.0]])
-    assert rec.units["w"] == "um"
+    rec = import_recording(path, {"signals": {"z": {"columns": "p_x"}}, "time": "time; s"})
+    np.testing.assert_array_equal(rec.signals["z"], [[1.5], [-2.0], [3.0]])
+    assert rec.units["z"] == "um"
     assert rec.sample_time == 1.0
 
 

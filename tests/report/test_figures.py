@@ -133,7 +133,12 @@ def residual_test():
         output_names=("p_x", "p_y"),
     )  # fmt: skip
     options = SimpleNamespace(
-        inputs=("u",), outputs=("p",), intersample=("zoh", "zoh"), focus="simulation", disturbances=Disturbances()
+        inputs=("u",),
+        outputs=("p",),
+        intersample=("zoh", "zoh"),
+        focus="simulation",
+        disturbances=Disturbances(),
+        schedule=None,
     )
     result = SimpleNamespace(model=nothing, options=options, recordings=("one",), free=())
     recording = gbid.Recording({"u": u, "p": y}, 1e-3, name="two")
