@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -30,6 +31,8 @@ _HARMONICS = 6  # of the shaft angle, for run-out and unbalance
 _LAGS = (-2, 0, 2, 4, 6, 8)  # delays of the piezos in samples
 _EVERY = 3  # every third sample in motion is used for the regression
 _MIN_SAMPLES = 500
+_CHANGE = 0.02  # of speed or pressure, over its largest value
+_PART_S = 0.25  # of a recording in which they change [s]
 _ROUNDS, _TRIM = 3, 4.0  # of the regression; larger residuals (in standard deviations) are left out of the next round
 
 
@@ -48,6 +51,7 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     angle. The residual is projected inwards and evaluated beyond 0.7 of the largest radius. Residuals above six robust
     standard deviations are impacts, when there are at least two and when no outward residual nearby is almost as large.
     Single wrong samples are removed before by a median of three. Times with a measured impact force are left out.
+    Where speed or pressure are recorded and change, the equation is another one on the way: each 0.25 s have their own.
     """
     known = "u" in rec.signals or "r" in rec.signals
     half = max(3, round((HALF_WINDOW_S if known else SHORT_S) / rec.sample_time))
@@ -61,27 +65,40 @@ def find_rub(rec: Recording) -> Iterator[SignalProblem]:
     k, weighted, basis = k[sound], weighted[sound], basis[sound]
     if len(k) < _MIN_SAMPLES // 2:
         return
-    some = _in_motion(weighted)[::_EVERY]
-    residual, sigma = _robust_residual(weighted, basis, some)
+    residual, sigma = np.empty_like(weighted), np.empty(len(k))
+    for part in _parts(rec, k):
+        some = _in_motion(weighted[part])[::_EVERY]
+        residual[part], sigma[part] = _robust_residual(weighted[part], basis[part], some)
     speed = float(np.sqrt(np.mean(np.sum(np.diff(p, axis=0) ** 2, axis=1))))
-    limit = max(SIGMAS * sigma, LEAST * speed)
+    limit = np.maximum(SIGMAS * sigma, LEAST * speed)
     radius = np.hypot(*p[k].T)
     far = radius > OUTSIDE * radius.max()
     inward = -np.sum(p[k[far]] * residual[far], axis=1) / radius[far]
-    at = k[far]
+    at, limit, sigma = k[far], limit[far], sigma[far]
     outward = inward[_apart(at, at[inward > limit], 2 * half)].min(initial=0.0)
-    hit = at[inward > max(limit, -OVER_OUTWARD * outward)]
+    hit = at[inward > np.maximum(limit, -OVER_OUTWARD * outward)]
     impacts = np.split(hit, np.flatnonzero(np.diff(hit) > 2 * half) + 1) if hit.size else []
     if len(impacts) < MIN_IMPACTS:
         return
     reached = np.hypot(*p[hit].T)
+    size = float((inward / np.maximum(sigma, 1e-300)).max())
     text = (
         f"recording {rec.name!r}: signal 'p' shows a rub: {len(impacts)} impacts at {reached.min() * 1e6:.1f} to "
         f"{reached.max() * 1e6:.1f} um from the mean position, the first at {hit[0] * rec.sample_time:.4f} s, push "
-        f"the disc back by up to {inward.max() / max(sigma, 1e-300):.0f} standard deviations more than a film does; "
+        f"the disc back by up to {size:.0f} standard deviations more than a film does; "
         "lower the excitation and record again, or cut that part away."
     )
     yield SignalProblem("p", "", "rub", text)
+
+
+def _parts(rec: Recording, k: npt.NDArray[np.int_]) -> list[slice]:
+    """Return the parts of the samples that have one equation of motion each."""
+    ways = [rec.signal(name) for name in ("pressure_bar", "speed_rpm") if name in rec.signals]
+    if not any(np.ptp(way) > _CHANGE * np.abs(way).max() for way in ways):
+        return [slice(None)]
+    count = max(1, len(k) // max(_MIN_SAMPLES, round(_PART_S / rec.sample_time)))
+    edges = np.linspace(0, len(k), count + 1).astype(int)
+    return [slice(a, b) for a, b in itertools.pairwise(edges.tolist())]
 
 
 def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, FloatArray]:

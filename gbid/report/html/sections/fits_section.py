@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
-from gbid.errors import DataError
+from gbid.errors import DataError, UsageError
 from gbid.experiment.stages.crossval.pairing import validate_pair
 from gbid.experiment.stages.fit.plan import recordings_of
 from gbid.report.html.page import Block, Fold, Link, Listed, PageSection, Templated, Words, fit_href, point_words
@@ -153,7 +153,7 @@ def _curves(results: Results, q: MadeFit) -> dict[str, Any]:
     for recording in recordings_of(results.experiment, q.fit, q.model):
         try:
             validation = validate_pair(results.job, q.fit, q.model, recording)
-        except (DataError, OSError) as error:
+        except (DataError, UsageError, OSError) as error:  # UsageError: of a scheduled structure
             reason = str(error)
         else:
             traces.append(trace(validation, shown.from_s if shown else None))
