@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from gbid.errors import DataError, NoSpaceError, UsageError
+from gbid.errors import DataError, NoSpaceError, UsageError, origins
 
 _ENDING = ".part"
 _DAY = 86400.0
@@ -65,7 +65,7 @@ def atomic_path(path: Path, overwrite: bool) -> Iterator[Path]:
     except OSError as error:
         raise _cannot_write(path, error) from None
     except Exception as error:  # HDF5 may find the disk full only when it closes the file, matplotlib fails after it
-        if not is_no_space(error):
+        if _no_space(error) is None:
             raise
         raise _cannot_write(path, error) from None
     finally:
@@ -92,19 +92,13 @@ def scratch_folder(beside: Path) -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def is_no_space(error: BaseException) -> bool:
-    """Whether an error says that the disk or the quota is full, or that files of this process may not be so large."""
-    return _no_space(error) is not None
-
-
 def _no_space(error: BaseException) -> BaseException | None:
-    """Return what says so: the error, or the one that it came from, as where a library fails again on its way out."""
-    found: BaseException | None = error
-    while found is not None:
-        if getattr(found, "errno", None) in _FULL or _IN_WORDS.search(str(found)):
-            return found
-        found = found.__cause__ or found.__context__
-    return None
+    """Return what says that the disk or the quota is full, or that files of this process may not be so large.
+
+    It is the error or what that came from, because a library may fail again on its way out.
+    """
+    full = (e for e in origins(error) if getattr(e, "errno", None) in _FULL or _IN_WORDS.search(str(e)))
+    return next(full, None)
 
 
 def remove_stale_parts(folder: Path, pattern: str = f"**/.*{_ENDING}") -> list[Path]:

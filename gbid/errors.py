@@ -6,6 +6,8 @@ Exit codes: 0 fine, 1 a defect of ours, 2 wrong usage or YAML, 3 bad data, 4 not
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 
 class GbidError(Exception):
     """Base of all errors that gbid raises on purpose. Its text names file, field and value and what to do."""
@@ -59,9 +61,12 @@ def from_interrupt(error: BaseException) -> bool:
     CasADi makes a RuntimeError of a Ctrl-C within one of its callbacks. A library that ends its work on the way out may
     fail in turn, and Python then keeps the KeyboardInterrupt as the context of that failure.
     """
+    return any(isinstance(found, KeyboardInterrupt) or "KeyboardInterrupt" in str(found) for found in origins(error))
+
+
+def origins(error: BaseException) -> Iterator[BaseException]:
+    """Return an error, what it came from, what that came from, and so on."""
     found: BaseException | None = error
     while found is not None:
-        if isinstance(found, KeyboardInterrupt) or "KeyboardInterrupt" in str(found):
-            return True
+        yield found
         found = found.__cause__ or found.__context__
-    return False
