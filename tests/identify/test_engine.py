@@ -168,7 +168,7 @@ def test_shapes_of_windows(case, shape, fresh, cache):
 @NEEDS_COMPILER
 @pytest.mark.parametrize("shape", SHAPES)
 @pytest.mark.parametrize("case", ["every", "one output", "plant"])
-def test_the_compiled_adjoint_is_the_numpy_one(case, shape, fresh, cache):
+def test_the_compiled_adjoint_and_second_pass_are_the_numpy_ones(case, shape, fresh, cache):
     fresh.setenv("GBID_CACHE_DIR", str(cache))
     predictor, theta, blocks, _, weight = problem(case, *SHAPES[shape])
     v = predictor.at(theta)
@@ -179,12 +179,14 @@ def test_the_compiled_adjoint_is_the_numpy_one(case, shape, fresh, cache):
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
     last[:, blocks.size == 0] = 0
-    for a, b in zip(
-        engine.adjoint(v, blocks, weight @ found.errors, found.states, last),
-        run_with_numpy.adjoint(v, blocks, weight @ found.errors, found.states, last),
-        strict=True,
-    ):
+    engines, weighted = (engine, run_with_numpy), weight @ found.errors
+    back, same = (run.adjoint(v, blocks, weighted, found.states, last) for run in engines)
+    for a, b in zip(back, same, strict=True):
         np.testing.assert_allclose(a, b, rtol=0, atol=1e-11 * np.abs(b).max())
+    a, b = (run.second(v, blocks, found.states, back.factors) for run in engines)
+    pairs = [(a.products.transpose(0, 2, 1), b.products.transpose(0, 2, 1)), (a.end_theta, b.end_theta)]
+    for own, other in pairs:  # each parameter has a size of its own
+        assert (np.abs(own - other) <= 1e-12 * np.abs(other).max(axis=(0, 1))).all()
 
 
 def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):

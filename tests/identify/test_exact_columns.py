@@ -7,7 +7,7 @@ from scipy.signal import lfilter
 from shooting_problem import problem
 
 from gbid.identify import fit
-from gbid.identify.nlp.exact_columns import exact_columns
+from gbid.identify.nlp.omitted_part import omitted_part
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.uncertainty.information import information_over_records
 from gbid.recording import Recording
@@ -55,7 +55,7 @@ def test_columns_of_an_overflow_are_not_finite():
     shares = [np.full(len(part.index), np.nan) for part in joined.parts]
     weight = np.eye(joined.error_products(joined.values(theta), starts).shape[0])
     ends = np.zeros_like(starts)
-    for found in exact_columns(joined, theta, starts, ends, shares, weight):
+    for found in omitted_part(joined, theta, starts, ends, shares, weight):
         assert np.isnan(found.theta).all()
 
 

@@ -56,6 +56,39 @@ class Prediction(NamedTuple):
     end: FloatArray
 
 
+class Adjoint(NamedTuple):
+    """Adjoint of a cost, backwards over all blocks.
+
+    Attributes
+    ----------
+    start : (n, W) array
+        The adjoint at the start of each block.
+    sums : (n + n_y, n + n_z) array
+        Derivative of the cost by the entries of ``[F G; C H]``.
+    factors : (n_groups, length, n + n_y, lanes) array
+        For each sample ``a[k+1]`` and then ``-w[k]``: `sums` are their products with states and regressors.
+    """
+
+    start: FloatArray
+    sums: FloatArray
+    factors: FloatArray
+
+
+class Second(NamedTuple):
+    """Results of the second pass over the samples, each block from a start that does not depend on the parameters.
+
+    Attributes
+    ----------
+    products : (n + n_y, n_p, n) array
+        Sums over all samples of the factors of the adjoint times the sensitivities of the state by the parameters.
+    end_theta : (W, n, n_p) array
+        These sensitivities after the whole length of each block, padding included.
+    """
+
+    products: FloatArray
+    end_theta: FloatArray
+
+
 class PassEngine(Protocol):
     """Engine: it runs the recursion over all blocks."""
 
@@ -83,7 +116,7 @@ class PassEngine(Protocol):
 
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Adjoint:
         """Run the adjoint backwards: ``a[k] = F' a[k+1] - C' w[k]``.
 
         Parameters
@@ -95,12 +128,18 @@ class PassEngine(Protocol):
         states : (n_groups, length, n, lanes) array
         last : (n, W) array
             The adjoint at the end of each block.
+        """
+        ...
 
-        Returns
-        -------
-        (n, W) array
-            The adjoint at the start of each block.
-        (n + n_y, n + n_z) array
-            Derivative of the cost by the entries of ``[F G; C H]``.
+    def second(self, v: PredictorValues, blocks: Blocks, states: FloatArray, factors: FloatArray) -> Second:
+        """Run the sensitivities of the states, and sum their products with the factors of the adjoint.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        states : (n_groups, length, n, lanes) array
+        factors : (n_groups, length, n + n_y, lanes) array
+            From `adjoint`.
         """
         ...

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -12,9 +12,10 @@ import numpy.typing as npt
 from gbid.arrays import FloatArray
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
-from gbid.identify.kernel.block_sums import BlockSums, PassEngine, Prediction
+from gbid.identify.kernel.block_sums import Adjoint, BlockSums, PassEngine, Prediction, Second
 from gbid.identify.kernel.blocks import LANES, Blocks
 from gbid.identify.kernel.numpy_pass import run_with_numpy
+from gbid.identify.kernel.second_source import second_source
 from gbid.identify.kernel.source import KernelPattern, kernel_source
 from gbid.identify.predictor import PredictorValues
 
@@ -98,6 +99,7 @@ class CompiledEngine:
         self._pass, self._predict, self._adjoint = library.gbid_pass, library.gbid_predict, library.gbid_adjoint
         self.note = library.note
         self._pass.restype = self._predict.restype = self._adjoint.restype = None
+        self._second: Any = None  # compiled when it is needed first
 
     def _fit_for(self, v: PredictorValues, blocks: Blocks) -> FloatArray:
         """Rebuild the kernel if the predictor has new nonzeros; return the regressors."""
@@ -150,17 +152,32 @@ class CompiledEngine:
 
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Adjoint:
         """Run the adjoint backwards; see `PassEngine`."""
         z = self._fit_for(v, blocks)
         n_groups, length, n_z, lanes = z.shape
         n, n_y = len(v.F), len(v.C)
         first, sums = np.empty((n_groups, n, lanes)), np.empty((n + n_y, n + n_z))
+        factors = np.empty((n_groups, length, n + n_y, lanes))
         size = np.ascontiguousarray(blocks.size, np.int64)
         arrays = [np.ascontiguousarray(a) for a in (v.F, v.C, weighted, states)] + [z, size, _by_group(last)]
-        pointers = (_pointer(a) for a in [*arrays, first, sums])
+        pointers = (_pointer(a) for a in [*arrays, first, factors, sums])
         self._adjoint(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
-        return first.transpose(1, 0, 2).reshape(n, -1), sums
+        return Adjoint(first.transpose(1, 0, 2).reshape(n, -1), sums, factors)
+
+    def second(self, v: PredictorValues, blocks: Blocks, states: FloatArray, factors: FloatArray) -> Second:
+        """Run the sensitivities of the states; see `PassEngine`."""
+        z = self._fit_for(v, blocks)
+        if self._second is None:
+            self._second = load_library(second_source(self._pattern)).gbid_second
+            self._second.restype = None
+        n_groups, length, _, lanes = z.shape
+        n_p, n, _ = v.dF.shape
+        products, end_theta = np.empty((factors.shape[2], n_p, n)), np.empty((n_groups, n_p, n, lanes))
+        arrays = [*(np.ascontiguousarray(a) for a in (v.F, v.dF, v.dG, states)), z, np.ascontiguousarray(factors)]
+        pointers = (_pointer(a) for a in [*arrays, products, end_theta])
+        self._second(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return Second(products, _per_block(end_theta).transpose(0, 2, 1))
 
 
 @lru_cache(maxsize=32)

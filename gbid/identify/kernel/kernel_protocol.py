@@ -33,6 +33,24 @@ class Traced(NamedTuple):
     by_block: BlockSums
 
 
+class Moved(NamedTuple):
+    """Predictor with one parameter moved.
+
+    Attributes
+    ----------
+    column : int
+        Position of the parameter among those of the predictor.
+    step : float
+        How far it is moved.
+    v : object
+        What the ``at`` of the predictor returns there.
+    """
+
+    column: int
+    step: float
+    v: Any
+
+
 class Kernel(Protocol):
     """Kernel of one kind of predictor. In all methods, `v` is what the ``at`` of the predictor returns.
 
@@ -70,6 +88,26 @@ class Kernel(Protocol):
             By the own parameters of the predictor.
         (n_windows, n) array
             By the starts of the windows.
+        """
+        ...
+
+    def left_out(
+        self,
+        v: Any,
+        blocks: Blocks,
+        starts: FloatArray,
+        ends: FloatArray,
+        weight: FloatArray,
+        moved: Sequence[Moved],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the second derivatives of the same that Gauss-Newton omits, in the columns of the moved parameters.
+
+        Returns
+        -------
+        (n_p, n_p) array
+            By two of the own parameters of the predictor; zero in other columns.
+        (n_windows, n_p, n) array
+            By a parameter and the start of a window.
         """
         ...
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.kernel.block_sums import PassEngine, Prediction
+from gbid.identify.kernel.block_sums import Adjoint, PassEngine, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.growth import spectral_radius
-from gbid.identify.kernel.kernel_protocol import Traced
+from gbid.identify.kernel.kernel_protocol import Moved, Traced
 from gbid.identify.kernel.sweep import (
     Linked,
     Sweep,
@@ -78,17 +78,71 @@ class LinearKernel:
         runs backwards, ``a[k] = F' a[k+1] - C' w[k]``, from the multipliers at the end of a window. Derivatives by the
         entries of F and G are sums of products of ``a`` with states and regressors. Those by C and H use ``w``.
         """
-        transition = np.linalg.matrix_power(v.F, blocks.length)
+        powers = powers_of(v.F, blocks.length)
+        _, back = self._backwards(v, blocks, starts, ends, weight, powers[-1])
+        return _by_parameters(v, back.sums), back.start[:, blocks.window_first].T
+
+    def left_out(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,
+        starts: FloatArray,
+        ends: FloatArray,
+        weight: FloatArray,
+        moved: Sequence[Moved],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what Gauss-Newton omits, from two passes for all columns together; see `Kernel`.
+
+        With the adjoint a, the weighted errors w and the sensitivities ``s_j`` of the state, it is the sum over k of
+
+            a[k+1]' (dF_i s_j + dF_j s_i + d2F_ij x + d2G_ij z) - w' (dC_i s_j + dC_j s_i + d2C_ij x + d2H_ij z).
+
+        The sums of products of a and w with states and sensitivities come from the passes. Second derivatives of the
+        matrices are differences of the first ones, which need no pass. The state is linear in the start of its window.
+        So by a parameter and a start, ``dF_j F^k`` is all that is left.
+        """
+        powers, n, n_p = powers_of(v.F, blocks.length), len(v.F), len(v.dF)
+        prediction, back = self._backwards(v, blocks, starts, ends, weight, powers[-1])
+        second = self.run.second(v, blocks, prediction.states, back.factors)
+        linked = link(blocks, second.end_theta, powers)
+        live, m = slice(0, blocks.n_blocks), back.factors.shape[2]
+        # Of the start of each block: products of the factors with the free response, (n_blocks, m * n, n).
+        by_block = np.moveaxis(back.factors, -1, 1).transpose(0, 1, 3, 2).reshape(-1, blocks.length)
+        free = (by_block @ powers[:-1].reshape(blocks.length, -1)).reshape(-1, m * n, n)[live]
+        products = second.products.transpose(1, 0, 2).reshape(n_p, m * n)
+        products = products + np.tensordot(linked.by_theta[live], free, ([0, 1], [0, 2]))
+        slopes = np.concatenate([v.dF, v.dC], axis=1).reshape(n_p, m * n)
+        across = slopes @ products.T
+        full, wanted = across + across.T, [own.column for own in moved]
+        theta, mixed = np.zeros((n_p, n_p)), np.zeros((blocks.n_windows, n_p, n))
+        here = _by_parameters(v, back.sums)
+        for own in moved:
+            change = (_by_parameters(own.v, back.sums) - here) / own.step
+            theta[:, own.column] = full[:, own.column] + change
+        by_start = np.add.reduceat((slopes @ free) @ linked.by_start[live], blocks.window_first)
+        mixed[:, wanted] = by_start[:, wanted]
+        return theta, mixed
+
+    def _backwards(
+        self,
+        v: PredictorValues,
+        blocks: Blocks,
+        starts: FloatArray,
+        ends: FloatArray,
+        weight: FloatArray,
+        transition: FloatArray,
+    ) -> tuple[Prediction, Adjoint]:
+        """Run the model forwards and its adjoint backwards through the blocks of each window."""
         prediction = self.run.predict(v, blocks, starts_of_blocks(v, blocks, starts, transition, self.run))
         weighted = weight @ prediction.errors * blocks.used[:, :, None]
         at_end = np.zeros((len(v.F), len(blocks.size)))
         at_end[:, blocks.window_first + blocks.window_size - 1] = ends.T
-        at_start, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
+        back = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
         if blocks.per_window > 1:
-            at_start = _back_along_windows(blocks, at_start, transition)
+            at_start = _back_along_windows(blocks, back.start, transition)
             at_end[:, blocks.followed] = at_start[:, blocks.followed + 1]
-            _, sums = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
-        return _by_parameters(v, sums), at_start[:, blocks.window_first].T
+            back = self.run.adjoint(v, blocks, weighted, prediction.states, at_end)
+        return prediction, back
 
     def growth(
         self,

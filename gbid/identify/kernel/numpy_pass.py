@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.block_sums import BlockSums, Prediction
+from gbid.identify.kernel.block_sums import Adjoint, BlockSums, Prediction, Second
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
@@ -60,7 +60,7 @@ class NumpyEngine:
 
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> Adjoint:
         """Run the adjoint backwards; see `PassEngine`."""
         z = blocks.z(v.shift)
         n_groups, length, n, lanes = states.shape
@@ -74,7 +74,24 @@ class NumpyEngine:
             after[:, k] = a
             a = v.F.T @ a - drive[:, k]
         left, right = np.concatenate([after, -weighted], axis=2), np.concatenate([states, z], axis=2)
-        return a.transpose(1, 0, 2).reshape(n, -1), np.einsum("gkal,gkbl->ab", left, right, optimize=True)
+        sums = np.einsum("gkal,gkbl->ab", left, right, optimize=True)
+        return Adjoint(a.transpose(1, 0, 2).reshape(n, -1), sums, left)
+
+    def second(self, v: PredictorValues, blocks: Blocks, states: FloatArray, factors: FloatArray) -> Second:
+        """Run the sensitivities of the states, some groups at a time; see `PassEngine`."""
+        z, (n_p, n, _) = blocks.z(v.shift), v.dF.shape
+        drive = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1)
+        products, ends = np.zeros((factors.shape[2], n_p * n)), []
+        step = max(1, _CHUNK_BYTES // (8 * blocks.length * n * n_p * blocks.lanes))
+        for first in range(0, len(z), step):
+            part = slice(first, first + step)
+            forcing = drive @ _flat(np.concatenate([states[part], z[part]], axis=2))
+            s = np.zeros(forcing.shape[1:])
+            for own, driven in zip(_flat(factors[part]), forcing, strict=True):
+                products += own @ s.T
+                s = (v.F @ s.reshape(n_p, n, -1)).reshape(s.shape) + driven
+            ends.append(s.reshape(n_p, n, -1).transpose(2, 1, 0))
+        return Second(products.reshape(-1, n_p, n), np.concatenate(ends))
 
 
 run_with_numpy = NumpyEngine()

@@ -84,12 +84,13 @@ def kernel_source(pattern: KernelPattern) -> str:
     )
 
 
-def _terms(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
-    """Products of a row's nonzeros with a vector: ``coefficient[offset + j] * vector[j]``."""
+def terms_of(row: BoolArray, coefficient: str, offset: int, vector: str) -> list[str]:
+    """Return the products of a row's nonzeros with a vector: ``coefficient[offset + j] * vector[j]``."""
     return [f"{coefficient}[{offset + j}]*{vector}[{j}]" for j in np.flatnonzero(row)]
 
 
-def _sum(terms: list[str]) -> str:
+def sum_of(terms: list[str]) -> str:
+    """Return the sum of terms as C writes it; a zero without terms."""
     return " + ".join(terms) if terms else "zero"
 
 
@@ -99,8 +100,8 @@ def _errors(p: KernelPattern) -> list[str]:
     n_z = p.G.shape[1]
     lines = []
     for j in range(n_y):
-        terms = _terms(p.C[j], "C", j * n, "x") + _terms(p.H[j], "H", j * n_z, "z")
-        lines.append(f"e[{j}] = (y[{j}] - ({_sum(terms)})) * m;")
+        terms = terms_of(p.C[j], "C", j * n, "x") + terms_of(p.H[j], "H", j * n_z, "z")
+        lines.append(f"e[{j}] = (y[{j}] - ({sum_of(terms)})) * m;")
     return lines
 
 
@@ -109,14 +110,17 @@ def _outputs(p: KernelPattern) -> list[str]:
     n_y = len(p.C)
     lines = _errors(p)
     for a in range(n_y):
-        lines.append(f"E[t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*e[{j}]' for j in range(a, n_y)])};")
+        lines.append(f"E[t*NY + {a}] = {sum_of([f'R[{a * n_y + j}]*e[{j}]' for j in range(a, n_y)])};")
     lines += [f"ee[{a * n_y + b}] += e[{a}]*e[{b}];" for a in range(n_y) for b in range(a, n_y)]
     return lines
 
 
 def _state(p: KernelPattern) -> list[str]:
     n, n_z = p.G.shape
-    return [f"nx[{r}] = {_sum(_terms(p.F[r], 'F', r * n, 'x') + _terms(p.G[r], 'G', r * n_z, 'z'))};" for r in range(n)]
+    return [
+        f"nx[{r}] = {sum_of(terms_of(p.F[r], 'F', r * n, 'x') + terms_of(p.G[r], 'G', r * n_z, 'z'))};"
+        for r in range(n)
+    ]
 
 
 def _adjoint(p: KernelPattern) -> list[str]:
@@ -126,7 +130,7 @@ def _adjoint(p: KernelPattern) -> list[str]:
     for c in range(n):
         back = [f"F[{r * n + c}]*a[{r}]" for r in np.flatnonzero(p.F[:, c])]
         out = [f"C[{j * n + c}]*w[{j}]" for j in np.flatnonzero(p.C[:, c])]
-        lines.append(f"na[{c}] = {_sum(back)} - ({_sum(out)});")
+        lines.append(f"na[{c}] = {sum_of(back)} - ({sum_of(out)});")
     return lines
 
 
@@ -136,15 +140,17 @@ def _sensitivity(p: KernelPattern, i: int) -> list[str]:
     n_y = len(p.C)
     lines = ["{", f"v *restrict s = S + {i * n};"]
     for j in range(n_y):
-        terms = _terms(p.C[j], "C", j * n, "s")
-        terms += _terms(p.dC[i, j], "dC", (i * n_y + j) * n, "x") + _terms(p.dH[i, j], "dH", (i * n_y + j) * n_z, "z")
-        lines.append(f"v q{j} = ({_sum(terms)}) * m;")
+        terms = terms_of(p.C[j], "C", j * n, "s")
+        terms += terms_of(p.dC[i, j], "dC", (i * n_y + j) * n, "x") + terms_of(
+            p.dH[i, j], "dH", (i * n_y + j) * n_z, "z"
+        )
+        lines.append(f"v q{j} = ({sum_of(terms)}) * m;")
     for a in range(n_y):
-        lines.append(f"P[{i}*BUF + t*NY + {a}] = {_sum([f'R[{a * n_y + j}]*q{j}' for j in range(a, n_y)])};")
+        lines.append(f"P[{i}*BUF + t*NY + {a}] = {sum_of([f'R[{a * n_y + j}]*q{j}' for j in range(a, n_y)])};")
     for r in range(n):
-        terms = _terms(p.F[r], "F", r * n, "s")
-        terms += _terms(p.dF[i, r], "dF", (i * n + r) * n, "x") + _terms(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
-        lines.append(f"v s{r} = {_sum(terms)};")
+        terms = terms_of(p.F[r], "F", r * n, "s")
+        terms += terms_of(p.dF[i, r], "dF", (i * n + r) * n, "x") + terms_of(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
+        lines.append(f"v s{r} = {sum_of(terms)};")
     lines += [f"s[{r}] = s{r};" for r in range(n)]
     lines.append("}")
     return lines
@@ -300,7 +306,7 @@ void gbid_predict(long groups, long length,
 void gbid_adjoint(long groups, long length, const double *restrict F, const double *restrict C,
                   const double *restrict weighted, const double *restrict states, const double *restrict zs,
                   const long long *restrict size, const double *restrict last,
-                  double *restrict first, double *restrict sums) {{
+                  double *restrict first, double *restrict factors, double *restrict sums) {{
   const v zero = {{0}};
   v S[N + NY][N + NZ];
   for (int i = 0; i < N + NY; i++) for (int j = 0; j < N + NZ; j++) S[i][j] = zero;
@@ -314,6 +320,9 @@ void gbid_adjoint(long groups, long length, const double *restrict F, const doub
       for (int l = 0; l < 8; l++)
         if (size[8*b + l] == k + 1)
           for (int c = 0; c < N; c++) a[c][l] = last[(b*N + c)*8 + l];
+      u *f = (u *)(factors + (b*length + k)*(N + NY)*8);
+      for (int c = 0; c < N; c++) f[c] = a[c];
+      for (int j = 0; j < NY; j++) f[N + j] = -w[j];
       for (int i = 0; i < N; i++) {{
         for (int j = 0; j < N; j++) S[i][j] += a[i]*x[j];
         for (int j = 0; j < NZ; j++) S[i][N + j] += a[i]*z[j];

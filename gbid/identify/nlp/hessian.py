@@ -14,7 +14,7 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.identify.nlp.adjoint import on_ends
-from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
+from gbid.identify.nlp.omitted_part import PartHessian, omitted_part
 from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 
@@ -154,18 +154,15 @@ def left_out_columns(
     curvatures = [
         np.diag(gn.theta) / problem.theta_scale[part.index] ** 2 for part, gn in zip(problem.parts, kept, strict=True)
     ]
-    exact = exact_columns(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight, wanted)
+    omitted = omitted_part(problem, *problem.unpack(unknowns), on_ends(problem, lam_gaps), curvatures, weight, wanted)
     found = []
-    for part, own, (theta, mixed), gn in zip(problem.parts, wanted, exact, kept, strict=True):
+    for part, own, (theta, mixed), gn in zip(problem.parts, wanted, omitted, kept, strict=True):
         scale = problem.theta_scale[part.index]
-        if not len(own):
-            found.append(PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed)))
-            continue
+        left = PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed))
         if part.tie is not None:
             theta, mixed = part.tie.T @ theta @ part.tie, np.einsum("wjn,jp->wpn", mixed, part.tie)
-        theta = theta * np.outer(scale, scale) - gn.theta
-        mixed = mixed * (scale[:, None] * problem.state_scale) - gn.mixed
-        left = PartHessian(np.zeros_like(gn.theta), np.zeros_like(gn.mixed))
+        theta = theta * np.outer(scale, scale)
+        mixed = mixed * (scale[:, None] * problem.state_scale)
         at = list(own) if part.tie is None else list(range(len(part.index)))
         if np.isfinite(theta).all() and np.isfinite(mixed).all():
             theta[np.ix_(at, at)] = (theta[np.ix_(at, at)] + theta[np.ix_(at, at)].T) / 2

@@ -12,7 +12,7 @@ from gbid.arrays import FloatArray
 from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.kernel.growth import growth_along
-from gbid.identify.kernel.kernel_protocol import Traced
+from gbid.identify.kernel.kernel_protocol import Moved, Traced
 from gbid.identify.kernel.sweep import Linked, Sweep, joined
 from gbid.identify.nonlinear.nonlinear_predictor import NonlinearValues
 from gbid.identify.predictor import PredictorValues
@@ -120,6 +120,25 @@ class NonlinearKernel:
         prediction = self.predict(v, blocks, starts)
         weighted = weight @ prediction.errors * blocks.used[:, :, None]
         return self.run.adjoint(v, blocks, prediction, weighted, ends)
+
+    def left_out(
+        self,
+        v: NonlinearValues,
+        blocks: Blocks,
+        starts: FloatArray,
+        ends: FloatArray,
+        weight: FloatArray,
+        moved: Sequence[Moved],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what Gauss-Newton omits, by differences of the gradient; see `Kernel`."""
+        kept = self.sweep(v, blocks, starts, weight)
+        theta, mixed = np.zeros_like(kept.hessian), np.zeros_like(kept.hessian_mixed)
+        here = self.gradient(v, blocks, starts, ends, weight)
+        for j, step, at in moved:
+            there = self.gradient(at, blocks, starts, ends, weight)
+            theta[:, j] = (there[0] - here[0]) / step - kept.hessian[:, j]
+            mixed[:, j] = (there[1] - here[1]) / step - kept.hessian_mixed[:, j]
+        return theta, mixed
 
     def growth(
         self,

@@ -95,7 +95,7 @@ def covariance(
         Initial states that were given instead of estimated; by default none.
     coloured : bool
         Whether residuals are coloured. If not, the robust covariance is the white one. If so, it uses a model of the
-        residuals and the exact Hessian of the cost, which needs a pass for each parameter.
+        residuals and the exact Hessian of the cost, which needs further passes.
     bootstrap : Bootstrap, optional
         Number of draws and seed of a bootstrap of the robust covariance, which counts residuals as coloured.
 

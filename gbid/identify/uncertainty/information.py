@@ -12,7 +12,7 @@ from gbid.identify.kernel.blocks import LONGEST_BLOCK, Blocks, cut
 from gbid.identify.kernel.kernel_protocol import Traced
 from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.adjoint import own_gradients
-from gbid.identify.nlp.exact_columns import PartHessian, exact_columns
+from gbid.identify.nlp.omitted_part import PartHessian, omitted_part
 from gbid.identify.nlp.one_window import in_one_window
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.uncertainty.sensitivities import (
@@ -92,7 +92,7 @@ def information_over_records(
     shaped : (n_y, n_y) array, optional
         Another weight, for a second Gauss-Newton Hessian.
     observed : bool
-        Whether the exact Hessian is computed, with a pass for each parameter.
+        Whether the exact Hessian is computed.
 
     Returns
     -------
@@ -115,7 +115,7 @@ def information_over_records(
     sums = [[tied(each.sums, part.tie) for each in own] for part, own in zip(problem.parts, passes, strict=True)]
     _follow_segments(problem, [own[0] for own in sums], chains)
     gauss_newton = [np.zeros((n_all, n_all)) for _ in passes[0]]
-    exact = _exact(problem, theta, starts, [own[0] for own in sums], weight) if observed else []
+    omitted = _omitted(problem, theta, starts, [own[0] for own in sums], weight) if observed else []
     whole = np.zeros((n_all, n_all))
     for k, (part, own) in enumerate(zip(problem.parts, sums, strict=True)):
         windows = problem.first_window[k] + part.blocks.segment_first
@@ -123,7 +123,9 @@ def information_over_records(
         for total, each in zip(gauss_newton, own, strict=True):
             _add(total, part.index, PartHessian(each.hessian, each.hessian_mixed), each.hessian_start, along)
         if observed:
-            _add(whole, part.index, _symmetric(exact[k], part.tie), own[0].hessian_start, along)
+            more = _symmetric(omitted[k], part.tie)
+            exact = PartHessian(own[0].hessian + more.theta, own[0].hessian_mixed + more.mixed)
+            _add(whole, part.index, exact, own[0].hessian_start, along)
     sensitivities = _sensitivities(problem, theta, cuts, [own[0] for own in passes], chains)
     return Information(gauss_newton[0], gauss_newton[-1], whole if observed else None, sensitivities)
 
@@ -218,7 +220,7 @@ def _sensitivities(
 
 
 def _symmetric(own: PartHessian, tie: FloatArray | None) -> PartHessian:
-    """Return the symmetric part of an exact Hessian, by the parameters to which those of the part are tied."""
+    """Return the symmetric part of what Gauss-Newton omits, by the parameters to which those of the part are tied."""
     theta = (own.theta + own.theta.T) / 2
     return PartHessian(theta, own.mixed) if tie is None else PartHessian(tie.T @ theta @ tie, tie.T @ own.mixed)
 
@@ -253,14 +255,14 @@ def _follow_segments(problem: Shooting, sums: Sequence[Sweep], chains: dict[int,
             chains[int(b)] = following, record
 
 
-def _exact(
+def _omitted(
     problem: Shooting, theta: FloatArray, starts: FloatArray, sums: Sequence[Sweep], weight: FloatArray
 ) -> list[PartHessian]:
-    """Return the exact columns of all parameters, with each segment as one window."""
+    """Return what Gauss-Newton omits for all parameters, with each segment as one window."""
     joined_up, kept = in_one_window(problem)
     _, starts = joined_up.unpack(problem.pack(theta, starts)[kept])
     ends, values = np.zeros_like(starts), problem.values(theta)
     for _ in joined_up.links:  # backwards from the last segments: derivative of the cost by the ends of segments
         made = own_gradients(joined_up, values, starts, ends, weight)
         ends[joined_up.links[:, 0]] = np.concatenate([own.starts for own in made])[joined_up.links[:, 1]]
-    return exact_columns(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)
+    return omitted_part(joined_up, theta, starts, ends, [np.diag(s.hessian) for s in sums], weight)

@@ -1,14 +1,15 @@
-"""Exact columns of the Hessian by differences of the adjoint gradient; they include what Gauss-Newton omits."""
+"""Part of the Hessian that Gauss-Newton omits: the errors times the second derivatives of the predictor."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.identify.nlp.adjoint import own_gradients
+from gbid.identify.kernel.kernel_protocol import Moved
 from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
 
@@ -32,7 +33,7 @@ class PartHessian(NamedTuple):
     mixed: FloatArray
 
 
-def exact_columns(
+def omitted_part(
     problem: Shooting,
     theta: FloatArray,
     starts: FloatArray,
@@ -41,10 +42,9 @@ def exact_columns(
     weight: FloatArray,
     wanted: Sequence[Sequence[int]] | None = None,
 ) -> list[PartHessian]:
-    """Return second derivatives of cost and weighted window ends, by the own parameters of each predictor.
+    """Return the second derivatives of cost and weighted window ends that Gauss-Newton omits, part by part.
 
-    One pass over the samples moves one parameter of every part. So the part with the most parameters sets the number of
-    passes.
+    They are by the own parameters of each predictor and by the starts of its windows.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ def exact_columns(
         Multipliers at the ends of the windows.
     curvatures : sequence of (n_p,) array
         For each part, its approximate share in the second derivatives of the cost by the parameters at its `index`. The
-        sum of the shares sets the steps.
+        sum of the shares sets the steps of differences.
     weight : (n_y, n_y) array
         Constant weight of the errors; with it, parts do not depend on each other.
     wanted : sequence of sequence of int, optional
@@ -73,34 +73,25 @@ def exact_columns(
     for part, share in zip(problem.parts, curvatures, strict=True):
         curvature[part.index] += share
     units = 1 / np.sqrt(np.maximum(curvature, np.finfo(float).tiny))
-    values = problem.values(theta)
-    here = own_gradients(problem, values, starts, ends, weight)
-    everything = [range(len(part.predictor.free)) for part in problem.parts]
-    wanted = everything if wanted is None else wanted
-    columns = [
-        PartHessian(np.zeros((len(own),) * 2), np.zeros((part.blocks.n_windows, len(own), problem.n_states)))
-        for part, own in zip(problem.parts, everything, strict=True)
-    ]
-    if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
-        for found in columns:
-            found.theta.fill(np.nan)
-            found.mixed.fill(np.nan)
-        return columns
-    for k in range(max(map(len, wanted))):
-        moved = [
-            _moved(problem, part, theta, own[k], units) if k < len(own) else (v, 1.0)
-            for part, own, v in zip(problem.parts, wanted, values, strict=True)
-        ]
-        there = own_gradients(problem, [v for v, _ in moved], starts, ends, weight)
-        for found, own, (_, step), after, before in zip(columns, wanted, moved, there, here, strict=True):
-            if k < len(own):
-                found.theta[:, own[k]] = (after.theta - before.theta) / step
-                found.mixed[:, own[k]] = (after.starts - before.starts) / step
-    return columns
+    windows = [slice(a, b) for a, b in pairwise(problem.first_window)]
+    found = []
+    for k, (part, v, own) in enumerate(zip(problem.parts, problem.values(theta), windows, strict=True)):
+        n_own = len(part.predictor.free)
+        columns = range(n_own) if wanted is None else wanted[k]
+        sizes = (n_own, n_own), (part.blocks.n_windows, n_own, problem.n_states)
+        if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
+            found.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
+        elif len(columns):
+            moved = [_moved(problem, part, theta, j, units) for j in columns]
+            made = part.kernel.left_out(v, part.blocks, starts[own], ends[own], weight, moved)
+            found.append(PartHessian(*made))
+        else:
+            found.append(PartHessian(*(np.zeros(size) for size in sizes)))
+    return found
 
 
-def _moved(problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray) -> tuple[Any, float]:
-    """Return the predictor of a part with one own parameter moved within its bounds, and the step."""
+def _moved(problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray) -> Moved:
+    """Return the predictor of a part with one own parameter moved within its bounds."""
     own = np.array(part.own(theta), float)
     onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
     step = _DIFFERENCE * float((onto * units[part.index]).max())
@@ -108,4 +99,4 @@ def _moved(problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, unit
     if own[j] + step > part.predictor.free[j].upper:
         step = -step
     own[j] += step
-    return part.predictor.at(own), step
+    return Moved(j, step, part.predictor.at(own))

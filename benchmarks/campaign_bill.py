@@ -1,0 +1,142 @@
+"""Time the campaign of the paper stage by stage: recordings on the rig, prefilter, 86 bearing fits, their table.
+
+``python -m benchmarks.campaign_bill [--folder FOLDER] [--workers N] [--recordings N] [--output FILE]``
+
+Results stay in the folder. What is there already is kept and not timed, but for the fits, which are always made again.
+A first fit compiles the kernel or loads it, and is not timed. Processor time is that of all processes, with the start
+of the workers, which load gbid.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import resource
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+from ruamel.yaml import YAML
+
+import gbid
+from benchmarks.fit_speed import processor
+from gbid.campaign.collect import collect
+from gbid.campaign.run import working
+from gbid.experiment.experiment import Experiment
+from gbid.experiment.load import load_experiment
+from gbid.experiment.run.job import Job
+from gbid.experiment.run.perform import perform
+from gbid.experiment.run.stage import Stage, run_stage
+from gbid.experiment.stages.fit.stage import FIT, fit_tasks
+from gbid.experiment.stages.prefilter.stage import PREFILTER
+from gbid.experiment.stages.rig.stage import RIG
+
+ROOT = Path(__file__).parents[1]
+T = TypeVar("T")
+
+ROWS = {
+    "rig": "recordings on the rig",
+    "prefilter": "prefilter",
+    "fits": "fits from stored recordings",
+    "table": "their table",
+}
+
+
+def experiment(folder: Path, recordings: int | None) -> Experiment:
+    """Write the campaign of the paper without its staircases, with the bearing's fits only."""
+    sections = YAML(typ="safe").load(ROOT / "experiments" / "theisen2016.yaml")
+    kept = {key: sections[key] for key in ("format", "name", "rig", "prefilter")}
+    kept["rig"] = {key: value for key, value in kept["rig"].items() if "staircase" not in key}
+    kept["fits"] = {"bearing": sections["fits"]["bearing"]}
+    if recordings:
+        kept["rig"]["operating_points"] = kept["rig"]["operating_points"][:1]
+        kept["rig"]["prbs"]["recordings"] = recordings
+    path = folder / "campaign.yaml"
+    path.write_text(json.dumps(kept), encoding="utf-8")  # which is YAML
+    return load_experiment(path)
+
+
+def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any]:
+    """Run the stages one after the other, each with workers of its own."""
+    made = experiment(folder, recordings)
+    times: dict[str, dict[str, float]] = {}
+    for name, stage in (("rig", RIG), ("prefilter", PREFILTER)):
+        before = {task.path for task in stage.tasks(Job(made)) if hasattr(task, "path") and task.path.exists()}
+        _, times[name] = timed(lambda stage=stage: run(made, stage, workers))  # type: ignore[misc]  # bound now
+        if before:  # of an earlier run
+            times.pop(name)
+    shutil.rmtree(made.results / "fits", ignore_errors=True)
+    job = Job(made)
+    first = fit_tasks(job)[0]
+    perform(job, first)
+    first.path.unlink()
+    fits, times["fits"] = timed(lambda: run(made, FIT, workers))
+    (table, _), times["table"] = timed(lambda: collect(job))
+    return {
+        "date": datetime.date.today().isoformat(),
+        "processor": processor(),
+        "gbid": gbid.__version__,
+        "workers": workers,
+        "fits": len(table),
+        "converged": int(sum(table.success)),
+        "robust": sum(outcome.state == "made" for outcome in fits),
+        "stages": times,
+    }
+
+
+def run(made: Experiment, stage: Stage, workers: int) -> Any:
+    """Run a stage with workers of its own."""
+    chosen: dict[str, Any] = {"engine": "pool", "workers": workers} if workers > 1 else {"engine": "serial"}
+    with working(made, **chosen) as job:
+        return run_stage(job, stage)
+
+
+def timed(call: Callable[[], T]) -> tuple[T, dict[str, float]]:
+    """Return what a call returns, with its wall time and the processor time of all processes [s]."""
+    wall, cpu = time.perf_counter(), _spent()
+    found = call()
+    return found, {"wall_s": time.perf_counter() - wall, "cpu_s": _spent() - cpu}
+
+
+def _spent() -> float:
+    own = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
+    return sum(each.ru_utime + each.ru_stime for each in own)
+
+
+def bill_table(run: dict[str, Any]) -> str:
+    """The numbers as Markdown."""
+    lines = ["| stage | wall time [s] | processor time [s] |", "|---|---|---|"]
+    lines += [
+        f"| {text} | {run['stages'][key]['wall_s']:.1f} | {run['stages'][key]['cpu_s']:.1f} |"
+        for key, text in ROWS.items()
+        if key in run["stages"]
+    ]
+    about = f"{run['fits']} fits, {run['workers']} workers, {run['processor']}, {run['date']}, gbid {run['gbid']}."
+    return "\n".join([*lines, "", about])
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the benchmark."""
+    parser = argparse.ArgumentParser(prog="benchmarks.campaign_bill", description="Time the campaign of the paper.")
+    parser.add_argument("--folder", type=Path, help="where results are and stay; a temporary folder by default")
+    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--recordings", type=int, help="so many at the first point only, to see that it works")
+    parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
+    options = parser.parse_args(arguments)
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = options.folder or Path(temporary)
+        folder.mkdir(parents=True, exist_ok=True)
+        found = measure(folder, options.recordings, options.workers)
+    if options.output:
+        options.output.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
+    print(bill_table(found))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
