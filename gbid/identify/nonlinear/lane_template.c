@@ -4,6 +4,7 @@
 #define N @N@
 #define NP @NP@
 #define NC (NP + N)
+#define NM @NM@
 #define NZ @NZ@
 #define NY @NY@
 #define NQ @NQ@
@@ -13,6 +14,7 @@
 #define TILE 4
 #define PAD (((NC + TILE - 1)/TILE)*TILE)
 #define MOST 256
+@PRODUCTS@
 
 static inline double total(v a) {
   double s = 0;
@@ -41,19 +43,35 @@ static void onwards(const point *p, v *restrict x, const v *restrict z, v *restr
   for (int c = 0; c < N; c++) x[c] = xe[c];
 }
 
-/* The same with derivatives S, and those of the outputs. */
+/* The same with derivatives S, and those of the outputs.
+
+   The Jacobians M of the whole sample by [x, e, theta] come first: they do not grow with the columns of S. */
 static void onwards_with_slopes(const point *p, v *restrict x, v *restrict S, const v *restrict z, v *restrict yhat,
                                 v *restrict psi) {
-  v xe[N], e[NY], Se[N*NC];
-  output_slopes(x, S, z, p->theta, p->known, xe, Se, yhat, e, psi);
+  v xe[N], e[NY], X[N*NP], C[NY*N], D[NY*NP], both[2][N*NM], none[N];
+  v *restrict M = both[0], *restrict T = both[1];
+  for (int i = 0; i < N; i++) none[i] = all(0.0);
+  output_jacobian(x, z, p->theta, p->known, xe, yhat, e, X, C, D);
+  add_start(X, S);
+  put_output(D, psi);
+  for (int c = 0; c < NC; c++) add_output(C, S + c*N, psi + c*NY);
   for (long s = 0; s < p->steps; s++) {
-    v t = all((double)s/p->steps), next[N], Sn[N*NC];
-    step_slopes(xe, Se, z, e, psi, p->theta, p->known, &t, &p->part, next, Sn);
+    v t = all((double)s/p->steps), next[N], F[N*N], G[N*(NM - N)], *swap = M;
+    step_jacobian(xe, z, e, p->theta, p->known, &t, &p->part, next, F, G);
     for (int c = 0; c < N; c++) xe[c] = next[c];
-    for (int c = 0; c < N*NC; c++) Se[c] = Sn[c];
+    put_own(G, T + N*N);
+    if (s == 0) put_step(F, T);
+    else {
+      for (int c = 0; c < N; c++) add_step(F, M + c*N, none, T + c*N);
+      for (int c = N; c < NM; c++) add_step(F, M + c*N, T + c*N, T + c*N);
+    }
+    M = T;
+    T = swap;
   }
+  if (FEEDS) feed(C, D, M + N*N, M, M + (NM - NP)*N);
+  for (int c = 0; c < NP; c++) add_sample(M, S + c*N, M + (NM - NP + c)*N, S + c*N);
+  for (int c = NP; c < NC; c++) add_sample(M, S + c*N, none, S + c*N);
   for (int c = 0; c < N; c++) x[c] = xe[c];
-  for (int c = 0; c < N*NC; c++) S[c] = Se[c];
 }
 
 static void sum_up(int rows, const v *restrict P, const v *restrict E, v *restrict H, v *restrict g) {
@@ -78,7 +96,8 @@ void gbid_sums(long groups, long length, long steps, const double *theta, const 
                const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
                double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end,
                double *slopes) {
-  static __thread v P[PAD*BUF], E[BUF], H[PAD*PAD], Ht[NP*NP];
+  static __thread v buffer[PAD*BUF + BUF + PAD*PAD + NP*NP];
+  v *restrict const P = buffer, *restrict const E = P + PAD*BUF, *restrict const H = E + BUF, *restrict const Ht = H + PAD*PAD;
   v ee[NY*NY];
   point p;
   point_of(&p, theta, known, steps);

@@ -17,13 +17,14 @@ from gbid.errors import UsageError
 from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import LANES, Blocks
 from gbid.identify.nonlinear.lane_functions import LANE_TYPES, lane_source
+from gbid.identify.nonlinear.lane_products import product_source
 from gbid.identify.nonlinear.nonlinear_kernel import SampleSums
 from gbid.identify.nonlinear.nonlinear_predictor import NonlinearValues
 from gbid.identify.nonlinear.sample_functions import SampleFunctions
 
-_BUFFER_BYTES = 96 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 _FLAGS = (
-    "-O2",
+    "-O3",
     "-march=native",
     "-fno-math-errno",
     "-fno-trapping-math",
@@ -141,10 +142,12 @@ class LanesRunner:
 @lru_cache(maxsize=32)
 def source_of(functions: SampleFunctions) -> str:
     """Return the C source of the runner of a predictor."""
-    n_y, n_c = functions.output_slopes.size1_out(2), functions.output_slopes.size2_in(1)
+    n, n_y, n_p = functions.output.size1_in(0), functions.output.size1_out(1), functions.output.size1_in(2)
+    n_c = n_p + n
     sizes = {
-        "N": functions.output.size1_in(0),
-        "NP": functions.output.size1_in(2),
+        "N": n,
+        "NP": n_p,
+        "NM": n + functions.step_jacobian.size2_out(2),
         "NZ": functions.output.size1_in(1),
         "NY": n_y,
         "NQ": functions.output.size1_in(3),
@@ -153,6 +156,7 @@ def source_of(functions: SampleFunctions) -> str:
     }
     named = {name: f for name, f in functions._asdict().items() if name != "feeds_back"}
     text = _template().replace("@TYPES@", LANE_TYPES).replace("@FUNCTIONS@", lane_source(named))
+    text = text.replace("@PRODUCTS@", product_source(functions))
     for name, size in sizes.items():
         text = text.replace(f"@{name}@", str(size))
     return text

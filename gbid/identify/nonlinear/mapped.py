@@ -22,13 +22,15 @@ class Mapped:
     Parameters
     ----------
     function : casadi.Function
-        Function with dense arguments and results.
+        Function with dense arguments.
     width : int
         Number of columns.
     """
 
     def __init__(self, function: ca.Function, width: int) -> None:
-        mapped = function.map(width, "serial")
+        given = function.sx_in()
+        dense = ca.Function(function.name(), given, [ca.densify(each) for each in function.call(given)])
+        mapped = dense.map(width, "serial")
         self._shapes = [function.size_in(i) for i in range(function.n_in())]
         self._arguments = [np.zeros((width, columns, rows)) for rows, columns in self._shapes]
         outs = [function.size_out(i) for i in range(function.n_out())]
@@ -180,16 +182,24 @@ class MappedRunner:
         self, v: NonlinearValues, z: FloatArray, x: FloatArray, first: FloatArray
     ) -> Iterator[tuple[int, FloatArray, FloatArray, FloatArray, FloatArray]]:
         """Yield for each sample its number, the state after it, its derivatives, the outputs and their derivatives."""
-        width = z.shape[1]
-        output, step = self._mapped("output_slopes", width), self._mapped("step_slopes", width)
-        at, S = np.ascontiguousarray(x)[:, None, :], first.transpose(0, 2, 1)
+        width, n_p = z.shape[1], self._n_p
+        output, step = self._mapped("output_jacobian", width), self._mapped("step_jacobian", width)
+        at, S = np.ascontiguousarray(x)[:, None, :], first.copy()
         fixed = v.theta, v.known
         for k in range(len(z)):
             own = z[k][:, None]
-            at, S, yhat, e, psi = (r.copy() for r in output(at, S, own, *fixed))
+            at, yhat, e, *jacobians = (r.copy() for r in output(at, own, *fixed))
+            by_start, by_state, by_theta = (each.transpose(0, 2, 1) for each in jacobians)
+            S[:, :, :n_p] += by_start
+            psi = by_state @ S
+            psi[:, :, :n_p] += by_theta
             for s in range(v.steps):
-                at, S = (r.copy() for r in step(at, S, own, e, psi, *fixed, s / v.steps, 1 / v.steps))
-            yield k, at[:, 0], S.transpose(0, 2, 1), yhat[:, 0], psi.transpose(0, 2, 1)
+                at, *jacobians = (r.copy() for r in step(at, own, e, *fixed, s / v.steps, 1 / v.steps))
+                F, G = (each.transpose(0, 2, 1) for each in jacobians)
+                by_e, by_own = np.split(G, [G.shape[2] - n_p], axis=2)
+                S = F @ S - by_e @ psi if by_e.shape[2] else F @ S
+                S[:, :, :n_p] += by_own
+            yield k, at[:, 0], S.copy(), yhat[:, 0], psi
 
 
 def _counted(used: FloatArray, values: FloatArray) -> FloatArray:

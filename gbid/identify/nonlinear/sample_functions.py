@@ -69,7 +69,7 @@ class SampleEquations(NamedTuple):
 
 
 class SampleFunctions(NamedTuple):
-    """Functions of a sample; `S` are derivatives by ``[theta, start]``, `Psi` those of yhat.
+    """Functions of a sample, with Jacobians that keep their zeros, and adjoints.
 
     Attributes
     ----------
@@ -77,10 +77,10 @@ class SampleFunctions(NamedTuple):
         ``(x, z, theta, known) -> (xe, yhat, e)``.
     step : casadi.Function
         ``(x, z, e, theta, known, t, w) -> x``.
-    output_slopes : casadi.Function
-        ``(x, S, z, theta, known) -> (xe, Se, yhat, e, Psi)``.
-    step_slopes : casadi.Function
-        ``(x, S, z, e, Psi, theta, known, t, w) -> (x, S)``.
+    output_jacobian : casadi.Function
+        ``(x, z, theta, known) -> (xe, yhat, e, dxe/dtheta, dyhat/dxe, dyhat/dtheta at constant xe)``.
+    step_jacobian : casadi.Function
+        ``(x, z, e, theta, known, t, w) -> (x, dx/dx, dx/d[e, theta])``; without e where it is not fed back.
     output_back : casadi.Function
         ``(x, z, theta, known, a, v) -> `` derivatives of ``a' xe + v' yhat`` by x and theta.
     step_back : casadi.Function
@@ -91,8 +91,8 @@ class SampleFunctions(NamedTuple):
 
     output: ca.Function
     step: ca.Function
-    output_slopes: ca.Function
-    step_slopes: ca.Function
+    output_jacobian: ca.Function
+    step_jacobian: ca.Function
     output_back: ca.Function
     step_back: ca.Function
     feeds_back: bool
@@ -124,7 +124,7 @@ class _ByContent:
 @lru_cache(maxsize=32)
 def _functions(equations: _ByContent) -> SampleFunctions:
     own = equations.own
-    n, n_p, n_y = own.x.numel(), own.theta.numel(), own.y.numel()
+    n, n_y = own.x.numel(), own.y.numel()
     feeds_back = own.K.nnz() > 0
     widths = [len(own.prompt), len(own.lead), own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
     z = ca.SX.sym("z", sum(widths))
@@ -135,17 +135,18 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     for row, i in enumerate(own.lead):
         u1[i] = lead[row]
 
-    # Output of a sample.
+    # Output of a sample, and its derivatives at the state that has begun there.
     at = own.x + own.x0 * impulse if own.impulse else own.x
-    (y,) = ca.substitute([own.y], [own.x, own.u], [at, u0])
+    (y,) = ca.substitute([own.y], [own.u], [u0])
     for walk, output in enumerate(own.walking):
-        y[output] += at[n - len(own.walking) + walk]
+        y[output] += own.x[n - len(own.walking) + walk]
     if own.disturbances.n_columns:
         gain = ca.SX(n_y, own.disturbances.n_columns)
         for row, column, coefficient in zip(*own.disturbances.places, ca.vertsplit(own.coefficients), strict=True):
             gain[int(row), int(column)] = coefficient
         y = y + gain @ trend
-    y = ca.densify(y)
+    both = ca.vertcat(own.x, own.theta)
+    y, slopes = ca.substitute([ca.densify(y), ca.jacobian(y, both)], [own.x], [at])
     e_value = measured - y if feeds_back else ca.SX.zeros(n_y)
 
     # Step of the integrator.
@@ -155,30 +156,32 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     ends = u0 + (u1 - u0) * t, u0 + (u1 - u0) * (t + w)
     after = one_step(own.integrator, f, own.x, ends, own.known[-1] * w)
 
-    S, Psi = ca.SX.sym("S", n, n_p + n), ca.SX.sym("Psi", n_y, n_p + n)
-    by_theta = ca.horzcat(ca.SX.eye(n_p), ca.SX(n_p, n))
     a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)
     point, fixed = [own.x, z], [own.theta, own.known]
-    both = ca.vertcat(own.x, own.theta)
-    slopes = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(S, by_theta))
     every = ca.vertcat(own.x, e, own.theta)
-    onwards = ca.jtimes(after, every, ca.vertcat(S, -Psi if feeds_back else ca.SX(n_y, n_p + n), by_theta))
     back = ca.jtimes(ca.vertcat(at, y), both, ca.vertcat(a, v), True)
     step_back = ca.jtimes(after, every, a, True)
     moving = [e, *fixed, t, w]
+    by_every = ca.jacobian(after, every)
+    of_output = [ca.jacobian(at, own.theta), slopes[:, :n], slopes[:, n:]]
     return SampleFunctions(
         _function("output", [*point, *fixed], [at, y, e_value]),
         _function("step", [*point, *moving], [after]),
-        _function("output_slopes", [own.x, S, z, *fixed], [at, slopes[:n, :], y, e_value, slopes[n:, :]]),
-        _function("step_slopes", [own.x, S, z, e, Psi, *fixed, t, w], [after, onwards]),
+        _function("output_jacobian", [*point, *fixed], [at, y, e_value], of_output),
+        _function(
+            "step_jacobian", [*point, *moving], [after], [by_every[:, :n], by_every[:, n + n_y * (not feeds_back) :]]
+        ),
         _function("output_back", [*point, *fixed, a, v], [back[:n], back[n:]]),
         _function("step_back", [*point, *moving, a], [step_back[:n], step_back[n : n + n_y], step_back[n + n_y :]]),
         feeds_back,
     )
 
 
-def _function(name: str, arguments: Sequence[ca.SX], results: Sequence[ca.SX]) -> ca.Function:
-    return ca.Function(name, list(arguments), [ca.densify(result) for result in results], {"cse": True})
+def _function(
+    name: str, arguments: Sequence[ca.SX], results: Sequence[ca.SX], jacobians: Sequence[ca.SX] = ()
+) -> ca.Function:
+    dense = [ca.densify(result) for result in results]
+    return ca.Function(name, list(arguments), [*dense, *(ca.sparsify(each) for each in jacobians)], {"cse": True})
 
 
 def _parts(z: ca.SX, widths: Sequence[int]) -> list[ca.SX]:

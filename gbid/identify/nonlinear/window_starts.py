@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
@@ -87,14 +88,14 @@ def _best(candidates: list[FloatArray], squares: Callable[[FloatArray], FloatArr
 
 def _from_outputs(predictor: NonlinearPredictor, v: NonlinearValues, blocks: Blocks) -> FloatArray:
     """Return the smallest states with the outputs of the first sample of each window, to first order at zero."""
-    n, n_p, n_y = predictor.n_states, len(v.theta), predictor.n_outputs
+    n, n_y = predictor.n_states, predictor.n_outputs
     at = blocks.window_first
     z = blocks.z(v.shift)[at // blocks.lanes, 0, :, at % blocks.lanes]
     y = blocks.y[at // blocks.lanes, 0, :, at % blocks.lanes]
-    S = np.tile(np.hstack([np.zeros((n, n_p)), np.eye(n)]), (1, len(at)))
-    function = predictor.functions.output_slopes.map("starts", "serial", len(at), [3, 4], [], {})
-    _, _, yhat, _, psi = (np.asarray(m, float) for m in function(np.zeros((n, len(at))), S, z.T, v.theta, v.known))
-    slopes = psi.reshape(n_y, len(at), n_p + n).transpose(1, 0, 2)[:, :, n_p:]
+    function = predictor.functions.output_jacobian.map("starts", "serial", len(at), [2, 3], [], {})
+    found = function(np.zeros((n, len(at))), z.T, v.theta, v.known)
+    yhat, slopes = (np.asarray(ca.densify(found[i]), float) for i in (1, 4))
+    slopes = slopes.reshape(n_y, len(at), n).transpose(1, 0, 2)
     if not (np.isfinite(slopes).all() and np.isfinite(yhat).all()):
         return np.zeros((len(at), n))
     return np.asarray((np.linalg.pinv(slopes) @ (y - yhat.T)[:, :, None])[:, :, 0])

@@ -1,0 +1,85 @@
+"""The compiled pass of a nonlinear structure against CasADi's own forward derivatives through all steps."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from compilers import NEEDS_COMPILER
+
+from gbid import NonlinearStructure, Parameter
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
+from gbid.identify.kernel.blocks import Segment, cut
+from gbid.identify.kernel.kernel_protocol import Kernel
+from gbid.identify.nonlinear.nonlinear_predictor import build_nonlinear_predictor
+from gbid.identify.nonlinear.runner import choose_runner
+
+AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2}
+STEPS, LENGTH, WINDOWS = 3, 7, 10
+STRUCTURE = NonlinearStructure(
+    "all_kinds_of_terms",
+    [Parameter(name, value) for name, value in AT.items()],
+    ["x", "v", "late"],
+    lambda x, u, p: [x[1], -p.k * x[0] - p.c * x[0] ** 3 * ca.cos(x[2]) + x[2], (u[0] - x[2]) / p.tau],
+    lambda x, u, p: [x[0] + 0.1 * x[1] * u[0], p.k * x[2]],
+    outputs=["a", "b"],
+    intersample="foh",
+    disturbance_gain=lambda p: [[p.g, 0], [0, 1], [0, p.g]],
+    steps=STEPS,
+    x0=lambda p: [p.start, 0, 0],
+)
+
+
+@pytest.fixture(scope="module")
+def case():
+    rng = np.random.default_rng(0)
+    disturbances = Disturbances(("a", "b"), (Trend(1), Trend(0)), ())
+    predictor = build_nonlinear_predictor(
+        STRUCTURE, {}, AT, 0.02, "foh", "prediction", disturbances=disturbances, released=(True, False, False)
+    )
+    n = LENGTH * WINDOWS
+    segment = Segment(0.1 * rng.normal(size=(n, 1)), 0.1 * rng.normal(size=(n, 2)))
+    blocks = cut([segment], predictor, LENGTH)
+    values = predictor.at(np.array([AT.get(q.name, 0.01) for q in predictor.free]))
+    return predictor, values, blocks, 0.1 * rng.normal(size=(WINDOWS, 3))
+
+
+def through_all_steps(predictor, values, blocks, start, window):
+    """Outputs and last state of a window with their derivatives by [theta, start], by CasADi through every step."""
+    functions, (group, lane) = predictor.functions, divmod(window, blocks.lanes)
+    theta, x = ca.SX.sym("theta", len(values.theta)), ca.SX.sym("x", 3)
+    at, found = x, []
+    for z in blocks.z(())[group, :, :, lane]:
+        at, yhat, e = functions.output(at, z, theta, values.known)
+        for s in range(STEPS):
+            at = functions.step(at, z, e, theta, values.known, s / STEPS, 1 / STEPS)
+        found.append(yhat)
+    every, by = ca.vertcat(*found, at), ca.vertcat(theta, x)
+    result = ca.Function("every", [theta, x], [every, ca.jacobian(every, by)])(values.theta, start)
+    return (np.array(each, float) for each in result)
+
+
+@pytest.mark.parametrize("engine", [pytest.param("compiled", marks=NEEDS_COMPILER), "numpy"])
+def test_pass_is_that_of_casadi_through_all_steps(case, engine):
+    predictor, values, blocks, starts = case
+    kernel: Kernel = choose_runner(engine, predictor)[0]
+    weight = np.array([[2.0, 0.3], [0.3, 1.0]])
+    sweep = kernel.sweep(values, blocks, starts, weight)
+    n_p = len(values.theta)
+    hessian, gradient = np.zeros((n_p + 3, n_p + 3)), np.zeros(n_p + 3)
+    for w, start in enumerate(starts):
+        every, slopes = through_all_steps(predictor, values, blocks, start, w)
+        psi, n_y = slopes[:-3].reshape(LENGTH, 2, -1), 2 * LENGTH
+        group, lane = divmod(w, blocks.lanes)
+        error = blocks.y[group, :, :, lane] - every[:n_y].reshape(LENGTH, 2)
+        own = np.einsum("kyi,yz,kzj->ij", psi, weight, psi)
+        for found, wanted in (
+            (sweep.end[w], every[n_y:, 0]),
+            (sweep.end_theta[w], slopes[-3:, :n_p]),
+            (sweep.end_start[w], slopes[-3:, n_p:]),
+            (sweep.hessian_mixed[w], own[:n_p, n_p:]),
+            (sweep.hessian_start[w], own[n_p:, n_p:]),
+        ):
+            np.testing.assert_allclose(found, wanted, rtol=1e-12, atol=1e-13 * np.abs(wanted).max())
+        hessian += own
+        gradient -= np.einsum("kyi,yz,kz->i", psi, weight, error)
+    np.testing.assert_allclose(sweep.hessian, hessian[:n_p, :n_p], rtol=1e-12, atol=1e-13 * np.abs(hessian).max())
+    np.testing.assert_allclose(sweep.gradient, gradient[:n_p], rtol=1e-11, atol=1e-13 * np.abs(gradient).max())
