@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import median_filter
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
@@ -41,5 +41,5 @@ def running_median(values: FloatArray, size: int) -> FloatArray:
     half = size // 2
     filtered = np.array(values, dtype=float)
     if half:
-        filtered[half:-half] = median_filter(values, size=(size, 1))[half:-half]
+        filtered[half:-half] = scipy.ndimage.median_filter(values, size=(size, 1))[half:-half]
     return filtered

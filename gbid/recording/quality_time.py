@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.ndimage import median_filter
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.recording.quality_problem import SignalProblem
@@ -32,7 +32,7 @@ def find_encoder_faults(rec: Recording) -> Iterator[SignalProblem]:
     increments = turning_increments(rec)
     if increments is None:
         return
-    speed = median_filter(increments, size=_SMOOTH, mode="nearest")
+    speed = scipy.ndimage.median_filter(increments, size=_SMOOTH, mode="nearest")
     off = np.abs(increments - speed)
     sigma = 1.4826 * float(np.median(np.abs(off - np.median(off)))) + float(np.median(off))
     turning = np.median(np.abs(increments)) > 0

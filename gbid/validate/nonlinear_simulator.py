@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.identify.disturbances.disturbances import UNDISTURBED, Disturbances
@@ -49,8 +50,6 @@ class NonlinearSimulator:
 
     def explain(self, inputs: FloatArray, outputs: FloatArray, counted: BoolArray | None = None) -> Explained:
         """Return the initial state whose simulation is closest to the measured outputs; see `Simulator.explain`."""
-        from scipy.optimize import least_squares  # imported here, because the import is slow
-
         size, every = np.maximum(np.abs(self.model.working_state), self.model.state_size), inputs.shape[1]
         used = np.ones(every, bool) if counted is None else counted
 
@@ -67,7 +66,7 @@ class NonlinearSimulator:
                 return Explained(np.full(len(z), np.nan), rest(z, n))
             unit = float(np.abs(rest(z, n)).max()) or 1.0
             tolerances = {"xtol": _SETTLED, "ftol": _SETTLED, "gtol": None}
-            z = least_squares(
+            z = scipy.optimize.least_squares(
                 lambda at, n=n, unit=unit: rest(at, n).ravel() / unit, z, max_nfev=_ROUNDS, **tolerances
             ).x
         return Explained(z * size, rest(z, every))

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.discretise import discretise
@@ -156,8 +157,6 @@ class Simulator:
         initial_state : (n_states,) array, optional
             State at the first sample; zero by default.
         """
-        from scipy.signal import lfilter  # imported here, because the import is slow
-
         modes, model = self._modes, self.model
         if modes is None:
             between = self.intersample
@@ -172,7 +171,7 @@ class Simulator:
             if following.any():
                 forcing[:-1] += following @ inputs[:, 1:]
             at = np.array([first.real if simple else first])
-            mode, _ = lfilter([0.0, 1.0], [1.0, -pole.real if simple else -pole], forcing, zi=at)
+            mode, _ = scipy.signal.lfilter([0.0, 1.0], [1.0, -pole.real if simple else -pole], forcing, zi=at)
             simulated += np.outer(weights.real, mode.real)
             if not simple:
                 simulated -= np.outer(weights.imag, mode.imag)

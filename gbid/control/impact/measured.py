@@ -8,6 +8,7 @@ from math import atan2, degrees
 from typing import Annotated
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import discretise
@@ -182,8 +183,6 @@ def pulses_of(force: FloatArray, impacts: Sequence[MeasuredImpact]) -> tuple[Pul
 
 
 def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
-    from scipy.interpolate import CubicSpline  # imported here, because the import is slow
-
     fine = np.linspace(impact.start, impact.stop, _FINE * (impact.stop - impact.start) + 1)
     along = np.array([np.cos(np.deg2rad(impact.direction_deg)), np.sin(np.deg2rad(impact.direction_deg))])
     inner = np.arange(impact.start + 1, impact.stop)
@@ -191,8 +190,8 @@ def _between(force: FloatArray, impact: MeasuredImpact) -> FloatArray:
         samples = np.arange(impact.start, impact.stop + 1)
         values = np.array(force[samples])
         values[[0, -1]] = 0.0
-        return np.asarray(CubicSpline(samples, values)(fine))
-    f = np.array(CubicSpline(inner, force[inner])(fine))
+        return np.asarray(scipy.interpolate.CubicSpline(samples, values)(fine))
+    f = np.array(scipy.interpolate.CubicSpline(inner, force[inner])(fine))
     size = f @ along
     first, last = _FINE, len(fine) - 1 - _FINE  # the outermost samples inside the pulse
     for corner, outward in ((first, np.arange(first, -1, -1)), (last, np.arange(last, len(fine)))):

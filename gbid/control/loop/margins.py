@@ -7,7 +7,7 @@ from math import atan, degrees, inf, nan, pi
 from typing import Literal
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.force_entry import static_force_gain
@@ -252,4 +252,4 @@ def _zeros(function: object, grid: FloatArray, values: FloatArray) -> list[float
     """Return the places between grid points where a real function changes its sign."""
     signs = np.sign(values)
     changes = np.flatnonzero(signs[1:] * signs[:-1] < 0)
-    return [float(brentq(function, grid[k], grid[k + 1], xtol=1e-12, rtol=1e-14)) for k in changes]
+    return [float(scipy.optimize.brentq(function, grid[k], grid[k + 1], xtol=1e-12, rtol=1e-14)) for k in changes]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
 from gbid.excite.design_goal import DesignGoal
@@ -110,7 +110,7 @@ def _descended(
         return np.log(size), np.sum(slope.conj() * 1j * turned, axis=1).real / size
 
     for exponent in _OF_PHASES:
-        angle = minimize(of_phases, angle, (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS).x
+        angle = scipy.optimize.minimize(of_phases, angle, (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS).x
     found = start * np.exp(1j * angle)[:, None]
 
     def of_both(flat: FloatArray, exponent: float, scale: FloatArray) -> tuple[float, FloatArray]:
@@ -130,7 +130,9 @@ def _descended(
         found = found / waves.norm(found, exponent)[0]
         scale = np.linalg.norm(found, axis=1)[:, None]
         flat = np.ascontiguousarray(found / scale).view(float).ravel()
-        moved = minimize(of_both, flat, (exponent, scale), jac=True, method="L-BFGS-B", options=_OPTIONS).x
+        moved = scipy.optimize.minimize(
+            of_both, flat, (exponent, scale), jac=True, method="L-BFGS-B", options=_OPTIONS
+        ).x
         found = _complex(moved, found.shape) * scale
     found = found / waves.norm(found, np.inf)[0]
     moved = np.einsum("fpyu,fu->pfy", psi, found).reshape(psi.shape[1], -1)

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import max_len_seq
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray, IntArray
 from gbid.errors import UsageError
@@ -120,7 +120,7 @@ _TAPS = {
 
 
 def _signal(sequence: ExcitationSequence, n_samples: int, sample_time: float) -> FloatArray:
-    bits = 2.0 * max_len_seq(sequence.register, taps=np.array(sequence.taps))[0] - 1.0
+    bits = 2.0 * scipy.signal.max_len_seq(sequence.register, taps=np.array(sequence.taps))[0] - 1.0
     hold = round(sequence.hold_s / sample_time)
     columns = [np.resize(np.repeat(np.roll(bits, -shift), hold), n_samples) for shift in sequence.shift]
     return np.column_stack(columns) * sequence.amplitude

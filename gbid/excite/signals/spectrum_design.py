@@ -18,7 +18,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.excite.design_goal import DesignGoal
@@ -92,7 +92,9 @@ def optimal_spectrum(
 
     for exponent in _NORMS:
         root /= np.sqrt(np.linalg.norm(_mean_squares(costs, root @ root.conj().transpose(0, 2, 1)), exponent))
-        found = minimize(loss, root.view(float).ravel(), (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS)
+        found = scipy.optimize.minimize(
+            loss, root.view(float).ravel(), (exponent,), jac=True, method="L-BFGS-B", options=_OPTIONS
+        )
         root = _complex(found.x, root.shape)
     used = _mean_squares(costs, root @ root.conj().transpose(0, 2, 1))
     root /= np.sqrt(used.max())

@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import Literal
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.errors import UsageError
@@ -122,12 +123,10 @@ def robust_loss(kind: LossName | None, threshold: float | None, n_outputs: int) 
 
 @lru_cache(maxsize=32)
 def _default(kind: LossName, n_outputs: int) -> RobustLoss:
-    from scipy.optimize import brentq  # imported here, because the import is slow
-
     def short_of(log_threshold: float) -> float:
         return efficiency(RobustLoss(kind, float(np.exp(log_threshold))), n_outputs) - EFFICIENCY
 
-    return RobustLoss(kind, round(float(np.exp(brentq(short_of, np.log(0.2), np.log(200.0)))), 4))
+    return RobustLoss(kind, round(float(np.exp(scipy.optimize.brentq(short_of, np.log(0.2), np.log(200.0)))), 4))
 
 
 def efficiency(loss: RobustLoss, n_outputs: int) -> float:

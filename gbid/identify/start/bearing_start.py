@@ -8,7 +8,7 @@ polynomial is estimated together with the coefficients.
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
@@ -101,7 +101,7 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     step = grid[1] / 2
     simplex = np.array([first, (first[0] + step, first[1]), (first[0], first[1] + step)])
     options = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": np.inf, "maxiter": 200}
-    tau = minimize(misfit, first, method="Nelder-Mead", options=options).x
+    tau = scipy.optimize.minimize(misfit, first, method="Nelder-Mead", options=options).x
     tau = np.array(
         [np.clip(t, 2 * bounds[f"tau_{a}"][0], bounds[f"tau_{a}"][1]) for t, a in zip(tau, AXES, strict=True)]
     )

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.identify.predictor import Predictor
@@ -131,7 +131,7 @@ def _solve(
     inside = np.clip(inside, lower + 1e-9 * width, upper - 1e-9 * width)
     with np.errstate(all="ignore"):
         try:
-            found = least_squares(
+            found = scipy.optimize.least_squares(
                 function,
                 inside,
                 jac=slope,

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.optimize import brentq
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief
@@ -144,7 +144,7 @@ class PiezoStack:
         if voltage is None:
             low, high = excess(0.0), excess(self.voltage_limit)
             inside = low < 0 < high
-            voltage = float(brentq(excess, 0, self.voltage_limit, xtol=1e-14)) if inside else 0.0
+            voltage = float(scipy.optimize.brentq(excess, 0, self.voltage_limit, xtol=1e-14)) if inside else 0.0
             if high <= 0:
                 voltage = self.voltage_limit
         plays = np.maximum(voltage - self.thresholds, 0.0)

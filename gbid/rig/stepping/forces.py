@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.rig.excitation.hammer import Hammer
@@ -109,6 +110,4 @@ def draw_whirl(machine: Machine, n: int, sample_time: float, random: np.random.G
     pole = np.exp(-2 * np.pi * rule.bandwidth_hz * sample_time)
     white = random.standard_normal((n + 1, 2)) @ np.array([1.0, 1j]) / np.sqrt(2)
     white[1:] *= np.sqrt(1 - pole**2)
-    from scipy.signal import lfilter  # imported here, because the import is slow and seldom needed
-
-    return np.asarray(lfilter([1.0], [1.0, -pole], white))
+    return np.asarray(scipy.signal.lfilter([1.0], [1.0, -pole], white))

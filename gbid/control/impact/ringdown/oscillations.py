@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import minimize
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import N_MECHANICAL
@@ -71,4 +71,4 @@ def _best_rate(problem: RingProblem, solved: SeparableFit) -> complex:
     start = min(starts, key=squares)
     corners = start + np.array([[0.0, 0.0], [0.3, 0.0], [0.0, -0.25]])
     options = {"maxfev": _EVALUATIONS, "initial_simplex": corners}
-    return rate_of(minimize(squares, start, method="Nelder-Mead", options=options).x)
+    return rate_of(scipy.optimize.minimize(squares, start, method="Nelder-Mead", options=options).x)

@@ -13,8 +13,8 @@ from math import ceil, log
 from typing import Any
 
 import numpy as np
+import scipy
 from scipy.linalg import solve_triangular
-from scipy.optimize import least_squares
 
 from gbid.arrays import FloatArray
 from gbid.control.impact.ringdown.basis import N_MECHANICAL, RingData, Scale, lagging_force
@@ -169,7 +169,9 @@ class RingProblem:
             return np.concatenate([s.reshape(-1, len(x)) for s in evaluated(x).slopes])
 
         settings: dict[str, Any] = {"method": "lm", "x_scale": "jac", "max_nfev": max_evaluations}
-        done: Any = least_squares(residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings)
+        done: Any = scipy.optimize.least_squares(
+            residuals, theta, slopes, xtol=1e-8, ftol=1e-10, gtol=1e-12, **settings
+        )
         return SeparableFit(done.x, evaluated(done.x), done.status > 0, str(done.message))
 
     def _alive(self, theta: FloatArray) -> int:

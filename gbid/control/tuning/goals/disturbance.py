@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.brief import Brief
@@ -76,8 +77,6 @@ def recorded_disturbance(
     UsageError
         When a recording has no such signal or is shorter than a segment, or when sample times differ.
     """
-    from scipy.signal import csd  # imported here, because the import is slow
-
     every = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not every:
         raise UsageError("recorded_disturbance: no recordings")
@@ -93,6 +92,6 @@ def recorded_disturbance(
         if length < 8 or len(p) < length:
             raise UsageError(f"recording {recording.name!r}: {len(p)} samples; segment_s = {segment_s} does not fit")
         parts = {"fs": 1 / recording.sample_time, "nperseg": length}
-        f, S = csd(p.T[:, None], p.T[None], **parts)
+        f, S = scipy.signal.csd(p.T[:, None], p.T[None], **parts)
         found.append(np.moveaxis(S, -1, 0).transpose(0, 2, 1))
     return DisturbanceSpectrum(f, np.mean(found, axis=0), signal)

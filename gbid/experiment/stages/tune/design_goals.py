@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
+import scipy
 
 from gbid.control import DisturbanceSpectrum, Goal, HalfSine, PeakSensitivity, PiezoTravel, recorded_disturbance
 from gbid.errors import UsageError
@@ -115,7 +116,5 @@ def _transfer_function(given: Mapping[str, Sequence[float]], what: str) -> Linea
     numerator, denominator = (np.trim_zeros(np.asarray(given[key], float), "f") for key in ("numerator", "denominator"))
     if not len(denominator) or not len(numerator) or len(numerator) > len(denominator):
         raise UsageError(f"{what}: the numerator must not be zero or of a higher order than the denominator")
-    from scipy.signal import tf2ss  # imported here, because the import is slow and seldom needed
-
-    A, B, C, D = tf2ss(numerator, denominator)
+    A, B, C, D = scipy.signal.tf2ss(numerator, denominator)
     return LinearModel(A, B, C, D, name=what)

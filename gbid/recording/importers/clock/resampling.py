@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray
 
@@ -36,8 +37,6 @@ def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: floa
     sample_time : float
         Time between the even samples [s].
     """
-    from scipy.interpolate import make_interp_spline  # imported here, because the import is slow
-
     grid = time[0] + sample_time * np.arange(int((time[-1] - time[0]) / sample_time + _BEYOND) + 1)
     out = np.empty((len(grid), values.shape[1]))
     nearest = np.clip(np.searchsorted((time[1:] + time[:-1]) / 2, grid), 0, len(time) - 1)
@@ -48,7 +47,7 @@ def resampled(values: FloatArray, unit: str, time: FloatArray, sample_time: floa
             continue
         wraps = unit == "rad" and bool((np.abs(np.diff(column)) > np.pi).any())
         smooth = np.unwrap(column) if wraps else column
-        even = make_interp_spline(time, smooth, k=degree - 1 + degree % 2)(grid)
+        even = scipy.interpolate.make_interp_spline(time, smooth, k=degree - 1 + degree % 2)(grid)
         low = 0.0 if column.min() >= 0 else -np.pi
         out[:, k] = np.mod(even - low, _TURN) + low if wraps else even
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.optimize import lsq_linear
+import scipy
 
 from gbid.arrays import BoolArray, FloatArray
 from gbid.control.tuning.search.nonsmooth.active import ActiveFunctions
@@ -59,6 +59,8 @@ class GradientHull:
         if not np.isfinite(columns).all():  # without a combination there is no certificate
             return np.full(len(self.unit), np.inf)
         # bounded variables by an active set; scipy's nnls frees its memory twice where it does not converge
-        weights = lsq_linear(np.vstack([columns, ones]), sides, (0.0, np.inf), method="bvls", max_iter=500).x
+        weights = scipy.optimize.lsq_linear(
+            np.vstack([columns, ones]), sides, (0.0, np.inf), method="bvls", max_iter=500
+        ).x
         total = max(float(weights[: aims.shape[1]].sum()), 1e-300)
         return np.asarray(columns @ weights * (scale / total))

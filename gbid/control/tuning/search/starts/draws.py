@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.limits import Limits
@@ -34,10 +35,8 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
     seed : int
         Seed of the Sobol sequence.
     """
-    from scipy.stats import qmc  # imported here, because the import is slow
-
     d, low, high = len(neutral), problem.lower, problem.upper
-    rows = qmc.Sobol(d + 1, seed=np.random.default_rng(seed)).random(1 << max(n - 1, 1).bit_length())[:n]
+    rows = scipy.stats.qmc.Sobol(d + 1, seed=np.random.default_rng(seed)).random(1 << max(n - 1, 1).bit_length())[:n]
     # with positive bounds over more than a decade, starts have a logarithmic distribution
     decades = (low > 0) & (high > 10 * low)
     first, last = np.where(decades, low, 1.0), np.where(decades, high, 1.0)

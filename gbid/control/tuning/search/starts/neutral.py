@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.loop_family import LoopFamily
@@ -24,9 +25,7 @@ def usable_start(
     UsageError
         When there are none.
     """
-    from scipy.stats import qmc  # imported here, because the import is slow
-
-    random = qmc.Sobol(len(lower), seed=np.random.default_rng(seed)).random(_TRIED)
+    random = scipy.stats.qmc.Sobol(len(lower), seed=np.random.default_rng(seed)).random(_TRIED)
     for x in (*given, *(lower + random * (upper - lower))):
         if all(np.isfinite(eigenvalues(family.states(x))).all() for family in families):
             return np.asarray(x)
