@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from types import MappingProxyType
 from typing import Any
 
@@ -15,8 +16,8 @@ from gbid.lpv.basis import TERMS, basis, polynomial
 from gbid.lpv.domain import Domain
 from gbid.lpv.machine_data import Correction, PiezoControllers, ProportionalDesign, Quantity, ReferenceModes
 from gbid.operating_point import point_label
-from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate
-from gbid.structure.linear import Structure
+from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing
+from gbid.structure.linear import model_function
 
 ACTUATOR_PARAMETERS = tuple(parameter.name for parameter in PiezoPair().parameters)
 """Names of the actuators' parameters: p1, p2 [rad/s] and kappa [m/m] of each axis (Eq. 12)."""
@@ -228,10 +229,10 @@ class LPVModel(Brief):
         return values
 
     def _evaluate(
-        self, structure: Structure, values: Mapping[str, float], letter: str, point: tuple[float, float]
+        self, structure: RotorBearing | Plant, values: Mapping[str, float], letter: str, point: tuple[float, float]
     ) -> LinearModel:
         names = tuple(f"{letter}_{axis}" for axis in "xy")
-        model = evaluate(structure, values, names, ("p_x", "p_y"))
+        model = _model_function(structure)(values, names, ("p_x", "p_y"))
         return replace(model, name=f"{self.name} at {point_label(*point)}")
 
     # pickle cannot store the read-only views, so plain dicts are sent to worker processes.
@@ -241,6 +242,12 @@ class LPVModel(Brief):
     def __setstate__(self, state: dict[str, Any]) -> None:
         for key, value in state.items():
             object.__setattr__(self, key, MappingProxyType(value) if isinstance(value, dict) else value)
+
+
+@lru_cache(maxsize=8)
+def _model_function(structure: RotorBearing | Plant) -> Callable[..., LinearModel]:
+    """Return the models of a structure for values; making its symbolic matrices takes longer than evaluating them."""
+    return model_function(structure)
 
 
 def _check_names(where: str, given: Mapping[str, Any], expected: tuple[str, ...]) -> None:

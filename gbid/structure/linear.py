@@ -267,30 +267,39 @@ def evaluate(
     UsageError
         When a value is missing or the matrices are not finite.
     """
-    missing = [parameter.name for parameter in structure.parameters if parameter.name not in values]
-    if missing:
-        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
+    return model_function(structure)(values, input_names, output_names)
+
+
+def model_function(structure: Structure) -> Callable[..., LinearModel]:
+    """Return `evaluate` of one structure, whose symbolic matrices are made once, for many values."""
     p, symbolic = symbolic_matrices(structure)
-    feedback = symbolic.feedback
+    feedback, parameters = symbolic.feedback, structure.parameters
     law = tuple(feedback.law) if feedback else ()
     function = ca.Function("matrices", [p], [ca.densify(m) for m in (*symbolic[:7], *law)])
-    numeric = function(ca.DM([float(values[parameter.name]) for parameter in structure.parameters]))
-    A, B, C, D, K, B_delayed, delay, *found = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
-    if feedback:
-        A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*found))
-    return LinearModel(
-        A,
-        B,
-        C,
-        D,
-        K if K.any() else None,
-        dt=feedback.sample_time if feedback else None,
-        B_delayed=B_delayed if symbolic.has_delay else None,
-        delay=delay[:, 0] if symbolic.has_delay else None,
-        input_names=input_names,
-        output_names=output_names,
-        name=structure.name,
-    )
+
+    def model(values: Mapping[str, float], inputs: tuple[str, ...], outputs: tuple[str, ...]) -> LinearModel:
+        missing = [parameter.name for parameter in parameters if parameter.name not in values]
+        if missing:
+            raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
+        numeric = function(ca.DM([float(values[parameter.name]) for parameter in parameters]))
+        A, B, C, D, K, B_delayed, delay, *found = (np.array(m, dtype=float).reshape(m.shape) for m in numeric)
+        if feedback:
+            A, B, C, D, K = _in_samples(feedback, LoopParts(A, B, C, D, K), ControlLaw(*found))
+        return LinearModel(
+            A,
+            B,
+            C,
+            D,
+            K if K.any() else None,
+            dt=feedback.sample_time if feedback else None,
+            B_delayed=B_delayed if symbolic.has_delay else None,
+            delay=delay[:, 0] if symbolic.has_delay else None,
+            input_names=inputs,
+            output_names=outputs,
+            name=structure.name,
+        )
+
+    return model
 
 
 def _in_samples(feedback: HeldFeedback, plant: LoopParts, law: ControlLaw) -> LoopParts:

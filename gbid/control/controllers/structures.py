@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from functools import lru_cache
 from math import isfinite
 from typing import Any
 
 from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.per_axis import INPUTS, NOT_OPTIONS, OUTPUTS, PerAxis
 from gbid.errors import UsageError
-from gbid.structure import LinearModel, evaluate
-from gbid.structure.linear import Structure
+from gbid.structure import LinearModel
+from gbid.structure.linear import Structure, model_function
 
 
 def controller_structure(kind: str | Structure, **options: Any) -> Structure:
@@ -85,7 +87,20 @@ def controller_model(structure: Structure, gains: Mapping[str, float]) -> Linear
     for name in names:
         if name in gains and not isfinite(gains[name]):
             raise UsageError(f"controller {structure.name!r}: {name} = {gains[name]}; give a finite number")
-    return evaluate(structure, gains, *channels_of(structure))
+    return _model_function(structure)(gains, *channels_of(structure))
+
+
+def _model_function(structure: Structure) -> Callable[..., LinearModel]:
+    """Return the models of a structure for gains; those of built-in structures are kept, because maps ask for many."""
+    if isinstance(structure, PerAxis):
+        with suppress(TypeError):  # a list among its options
+            return _of_built_in(structure)
+    return model_function(structure)
+
+
+@lru_cache(maxsize=16)
+def _of_built_in(structure: PerAxis) -> Callable[..., LinearModel]:
+    return model_function(structure)
 
 
 def channels_of(structure: Structure) -> tuple[tuple[str, ...], tuple[str, ...]]:
