@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gbid.discretise.dual import Dual
-from gbid.discretise.expm import exponentials, squarings_for
+from gbid.discretise.expm import each, exponentials, squarings_for
 from gbid.discretise.hold import Hold
 from gbid.errors import UsageError
 
@@ -39,7 +39,7 @@ def delayed_taps(
     b : (n, 1) array, Dual or casadi.SX
         Input column.
     delay : float, or Dual or casadi.SX of shape (1, 1)
-        Delay, at least zero [s].
+        Delay, at least zero [s]. Of a dual at several points, the delay at the first point sets the whole samples.
     sample_time : float
         Time between samples ``h`` [s].
     hold : {"zoh", "foh"}
@@ -66,7 +66,7 @@ def delayed_taps(
     """
     h = sample_time
     doublings = None if near is None else near[1]
-    seconds = near[0] if near else float(delay.value[0, 0]) if isinstance(delay, Dual) else float(delay)
+    seconds = near[0] if near else float(delay.value.flat[0]) if isinstance(delay, Dual) else float(delay)
     if seconds < 0:
         raise UsageError(f"delay = {seconds:g} s; it must not be negative")
     shift = int(np.floor(seconds / h))
@@ -93,6 +93,6 @@ class _Integrals(NamedTuple):
 def _integrals(A: Any, t: Any, squarings: int | None) -> _Integrals:
     Z = A * t
     if squarings is None:
-        squarings = squarings_for([Z.value if isinstance(Z, Dual) else Z])
+        squarings = squarings_for(each(Z))
     exp, phi1, phi2 = exponentials(Z, squarings)
     return _Integrals(exp, phi1 * t, phi2 * t * t)

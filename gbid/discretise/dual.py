@@ -13,13 +13,14 @@ class Dual:
     """Matrix with its derivatives, for forward differentiation of the discretisation.
 
     A formula written for arrays gives value and derivatives when its arguments are duals. Operands may also be plain
-    arrays or numbers; their derivatives are zero.
+    arrays or numbers; their derivatives are zero. Matrices at several points are one dual, whose arrays have an axis of
+    points before those of the matrix.
 
     Parameters
     ----------
-    value : (n, m) array
+    value : (..., n, m) array
         The matrix.
-    slope : (n_parameters, n, m) array
+    slope : (n_parameters, ..., n, m) array
         Derivative with respect to each parameter.
     """
 
@@ -32,8 +33,8 @@ class Dual:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the value."""
-        return self.value.shape
+        """Shape of the matrix."""
+        return self.value.shape[-2:]
 
     def __matmul__(self, other: Any) -> Dual:
         if isinstance(other, Dual):
@@ -78,7 +79,7 @@ class Dual:
         index : slice
             Rows of the value.
         """
-        return Dual(self.value[index], self.slope[:, index])
+        return Dual(self.value[..., index, :], self.slope[..., index, :])
 
     def columns(self, index: Any) -> Dual:
         """Return some columns, as an array indexed by ``[:, index]``.
@@ -88,7 +89,7 @@ class Dual:
         index : int, slice or array of int
             Columns of the value.
         """
-        return Dual(self.value[:, index], self.slope[:, :, index])
+        return Dual(self.value[..., index], self.slope[..., index])
 
 
 def constant(value: FloatArray, n_parameters: int) -> Dual:
@@ -97,5 +98,17 @@ def constant(value: FloatArray, n_parameters: int) -> Dual:
 
 
 def side_by_side(parts: list[Dual]) -> Dual:
-    """Return duals of the same number of rows joined side by side."""
-    return Dual(np.hstack([part.value for part in parts]), np.concatenate([part.slope for part in parts], axis=2))
+    """Return duals of the same number of rows joined side by side; a matrix without points is the same at all."""
+    points = max((part.value.shape[:-2] for part in parts), key=len)
+    parts = [part if part.value.shape[:-2] == points else _at_points(part, points) for part in parts]
+    return Dual(
+        np.concatenate([part.value for part in parts], axis=-1), np.concatenate([part.slope for part in parts], axis=-1)
+    )
+
+
+def _at_points(part: Dual, points: tuple[int, ...]) -> Dual:
+    value, slope = part.value, part.slope
+    return Dual(
+        np.broadcast_to(value, (*points, *value.shape)),
+        np.broadcast_to(slope[:, None], (len(slope), *points, *value.shape)),
+    )

@@ -20,9 +20,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.linalg import matrix_balance
+from scipy.linalg.lapack import dgebal
 
 from gbid.arrays import FloatArray
+from gbid.discretise.dual import Dual
 
 TAYLOR_ORDER = 15  # 1 / 18! is below the rounding of a double, so this order suffices when the norm is at most one
 _BLOCK = 4  # Paterson-Stockmeyer: powers up to Z^4, then Horner in Z^4
@@ -83,6 +84,12 @@ def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
     return total
 
 
+def each(Z: Any) -> FloatArray:
+    """Return the values of a matrix or dual at all points, (n_points, n, n)."""
+    value = np.asarray(Z.value if isinstance(Z, Dual) else Z, float)
+    return value.reshape(-1, *value.shape[-2:])
+
+
 def squarings_for(matrices: Iterable[FloatArray]) -> int:
     """Return the number of doublings that makes the Taylor polynomial exact for all given matrices.
 
@@ -102,7 +109,12 @@ def squarings_for(matrices: Iterable[FloatArray]) -> int:
 def _squarings(Z: FloatArray) -> int:
     if Z.size == 0 or not np.isfinite(Z).all():
         return 0
-    Z = matrix_balance(Z, permute=False)[0]
-    power = np.linalg.matrix_power(Z, 4)
-    reach = max(np.linalg.norm(power, 1) ** (1 / 4), np.linalg.norm(power @ Z, 1) ** (1 / 5))
+    Z = dgebal(Z, scale=1)[0]
+    squared = Z @ Z
+    power = squared @ squared
+    reach = max(_norm(power) ** (1 / 4), _norm(power @ Z) ** (1 / 5))
     return max(0, int(np.ceil(np.log2(reach)))) if 0 < reach < np.inf else 0  # beyond, the exponential overflows
+
+
+def _norm(Z: FloatArray) -> float:
+    return float(np.abs(Z).sum(axis=0).max())

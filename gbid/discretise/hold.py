@@ -9,8 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.discretise.dual import Dual
-from gbid.discretise.expm import exponentials, squarings_for
+from gbid.discretise.expm import each, exponentials, squarings_for
 from gbid.errors import UsageError
 
 Hold = Literal["zoh", "foh"]
@@ -108,7 +107,7 @@ def discretise(
     if squarings is None:
         if not numeric:
             raise UsageError("a symbolic matrix needs the number of squarings; take it from squarings_for")
-        squarings = squarings_for([(A.value if isinstance(A, Dual) else A) * sample_time])
+        squarings = squarings_for(each(A * sample_time))
     exp, phi1, phi2 = exponentials(A * sample_time, squarings)
     linear: Any = np.diag([float(h == "foh") for h in holds])
     if not numeric:

@@ -12,7 +12,6 @@ import numpy as np
 from gbid.arrays import FloatArray
 from gbid.discretise import (
     Dual,
-    Hold,
     check_holds,
     constant,
     delayed_taps,
@@ -103,6 +102,16 @@ class Predictor(GeneralPredictor):
         UsageError
             When an exact delay is negative.
         """
+        return self._values(*self._parts(theta))
+
+    def at_each(self, points: FloatArray) -> list[PredictorValues]:
+        """Return the matrices at several points; see `GeneralPredictor`."""
+        parts, shift = self._parts(points)
+        each = range(len(points))
+        return [self._values(tuple(Dual(part.value[i], part.slope[:, i]) for part in parts), shift) for i in each]
+
+    def _parts(self, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
+        """Return F, G, C and H, and the whole samples in the delays."""
         F, drive, C, feed, Kd, x0, shift = self._without_errors(theta)
         n_y = self.n_outputs
         if self._has_impulse:
@@ -112,8 +121,9 @@ class Predictor(GeneralPredictor):
         else:
             none = constant(np.zeros((n_y, n_y)), len(self.free))
             parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
-        if self.horizon > 1:
-            parts = look_ahead(parts, F, drive, C, feed, self.horizon)
+        return (look_ahead(parts, F, drive, C, feed, self.horizon) if self.horizon > 1 else parts), shift
+
+    def _values(self, parts: tuple[Dual, ...], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
         own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
         return _with_zero_states(own, self.spare) if self.spare else own
@@ -139,7 +149,7 @@ class Predictor(GeneralPredictor):
             drives.append(following.columns([prompt.index(i) for i in lead]))
             feeds.append(constant(np.zeros((n_y, len(lead))), n_p))
         for position, i in enumerate(self.delayed):
-            late = Dual(delay.value[position : position + 1], delay.slope[:, position : position + 1])
+            late = delay.rows(slice(position, position + 1))
             taps = delayed_taps(A, B_delayed.columns([i]), late, self.sample_time, self.holds[i])
             columns = taps.columns if self.holds[i] == "foh" else taps.columns[1:]
             drives += columns
@@ -153,7 +163,9 @@ class Predictor(GeneralPredictor):
         if self.feedback is None:
             return _WithoutErrors(*found, x0, shift)
         n_r = law[4].shape[1]
-        gain = held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((n, n_y)), n_p)
+        gain = (
+            held.columns(slice(n_r, None)) if self.feeds_back else constant(np.zeros((*F.value.shape[:-1], n_y)), n_p)
+        )
         A_K, B_K, C_K, D_K, _, direct = law
         known = ControlLaw(A_K, B_K, C_K, D_K, held.columns(slice(0, n_r)), direct)
         F, drive, C, feed, Kd = self.feedback.close(found._replace(K=gain), known)
@@ -183,22 +195,27 @@ class Predictor(GeneralPredictor):
         return np.pad(self._evaluate(theta)[7].value[:, 0], (0, self.spare))
 
     def _evaluate(self, theta: FloatArray) -> list[Dual]:
-        n_p = len(self.free)
-        flat = np.empty(self._function.nnz_out(0))
-        jacobian = np.empty((n_p, len(flat)))  # CasADi stacks columns
+        points = np.ascontiguousarray(theta, float).reshape(-1, len(self.free))
+        flat = np.empty((len(points), self._function.nnz_out(0)))
+        jacobian = np.empty((len(points), len(self.free), flat.shape[1]))  # CasADi stacks columns
         buffer: Any
         buffer, call = self._function.buffer()  # a tenth of the time that a call with matrices of CasADi takes
-        buffer.set_arg(0, np.ascontiguousarray(theta, float).data)
-        buffer.set_res(0, flat.data)
-        buffer.set_res(1, jacobian.reshape(-1).data)
-        call()
+        for point, values, slopes in zip(points, flat, jacobian, strict=True):
+            buffer.set_arg(0, point.data)
+            buffer.set_res(0, values.data)
+            buffer.set_res(1, slopes.reshape(-1).data)
+            call()
+        if np.ndim(theta) == 1:
+            flat, jacobian = flat[0], jacobian[0]
+        else:
+            jacobian = jacobian.swapaxes(0, 1)
         result, start = [], 0
         for rows, columns in self._shapes:
-            stop = start + rows * columns
-            value = flat[start:stop].reshape(columns, rows).T
-            slope = jacobian[:, start:stop].reshape(n_p, columns, rows).transpose(0, 2, 1)
+            own = slice(start, start + rows * columns)
+            value = flat[..., own].reshape(*flat.shape[:-1], columns, rows).swapaxes(-1, -2)
+            slope = jacobian[..., own].reshape(*jacobian.shape[:-1], columns, rows).swapaxes(-1, -2)
             result.append(Dual(np.ascontiguousarray(value), np.ascontiguousarray(slope)))
-            start = stop
+            start = own.stop
         return result
 
 
@@ -259,7 +276,7 @@ def build_predictor(
     m = with_random_walks(own, disturbances.walking, gain_symbols)
     holds = check_holds(intersample, m.B.shape[1])
     if m.feedback is not None:
-        _check_held(structure.name, holds, m.feedback.sample_time, sample_time)
+        m.feedback.refuse_other_data(structure.name, holds, sample_time)
     n, n_u, n_y, n_all = m.A.shape[0], m.B.shape[1], m.C.shape[0], m.n_states
     K = m.K if focus == "prediction" else ca.SX(n, n_y)
     x0 = m.x0 if released else ca.SX(n_all, 1)
@@ -327,18 +344,6 @@ def noise_names(structure: Structure) -> frozenset[str]:
 def _only_in_gain(m: Matrices) -> frozenset[str]:
     moves = {symbol.name() for symbol in ca.symvar(ca.veccat(*m.besides_gain))}
     return frozenset({symbol.name() for symbol in ca.symvar(m.K)} - moves)
-
-
-def _check_held(name: str, holds: Sequence[Hold], rate: float, sample_time: float) -> None:
-    """Refuse data that a sampled controller cannot have run with."""
-    if not np.isclose(rate, sample_time, rtol=1e-6, atol=0):
-        raise UsageError(
-            f"{name}: the controller runs every {rate:g} s, the recordings are sampled at {sample_time:g} s"
-        )
-    if "foh" in holds:
-        raise UsageError(
-            f"{name}: intersample = 'foh'; what is injected is held like the output of the controller: 'zoh'"
-        )
 
 
 def _driven(matrix: ca.SX) -> list[int]:

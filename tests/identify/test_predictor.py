@@ -6,6 +6,7 @@ from fit_cases import ACTUATORS, EVERY, EVERY_AT, KEY, MODE, MODE_AT, TS, H, fit
 from scipy.linalg import expm
 
 from gbid.errors import UsageError
+from gbid.identify.disturbances.disturbances import Disturbances, Trend
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.sweep import residuals
 from gbid.identify.predictor import build_predictor
@@ -114,6 +115,29 @@ def test_derivatives_are_those_of_central_differences(structure, values, h, hold
             rounding = 1e-15 * np.abs(plus).max(axis=1, keepdims=True) / step[i]
             error = np.abs(found[i] - expected)
             assert (error <= 1e-6 * size + 20 * rounding).all(), f"d{letter} by {predictor.free[i].name}"
+
+
+DISTURBED = Disturbances(("p_x", "p_y"), (Trend(1), Trend(0, random_walk=True)), (50.0,))
+
+
+@pytest.mark.parametrize("options", [{}, {"horizon": 3}, {"disturbances": DISTURBED}], ids=["plain", "horizon", "hum"])
+def test_several_points_at_once_are_each_by_itself(options):
+    """Exact delays, too; a delay that is moved over a whole sample keeps the regressors of the first point."""
+    structure = RotorBearing(delay="exact", disturbance_gain="full")
+    predictor = build_predictor(structure, {}, TS, "foh", "prediction", **options)
+    theta = np.array([{**KEY, **GAINS}.get(q.name, 0.3) for q in predictor.free])
+    points = theta * (1 + 1e-4 * np.random.default_rng(6).normal(size=(4, len(theta))))
+    for found, point in zip(predictor.at_each(points), points, strict=True):
+        expected = predictor.at(point)
+        assert found.shift == expected.shift
+        for a, b in zip(found[:8], expected[:8], strict=True):
+            np.testing.assert_allclose(a, b, rtol=1e-10, atol=1e-12 * np.abs(b).max(initial=0))
+    late = [q.name for q in predictor.free].index("tau_x")
+    kink = np.tile(theta, (3, 1))
+    kink[:, late] = TS * np.array([1.0, 1.0 - 1e-9, 1.0 + 1e-9])
+    at, before, after = predictor.at_each(kink)
+    assert at.shift == before.shift == after.shift
+    np.testing.assert_allclose(before.G + after.G, 2 * at.G, rtol=0, atol=1e-12 * np.abs(at.G).max())
 
 
 def test_fixed_parameters_are_put_in_and_the_rest_is_free():

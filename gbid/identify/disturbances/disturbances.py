@@ -136,9 +136,9 @@ class Disturbances:
         return {**units, **dict.fromkeys(map(self.gain_name, self.walking), "1/s")}
 
     def matrix(self, coefficients: FloatArray) -> FloatArray:
-        """Return the matrix from regressors to outputs, (n_outputs, n_columns), for the coefficients of `terms`."""
-        found = np.zeros((len(self.outputs), self.n_columns))
-        found[self.places] = coefficients
+        """Return the matrix from regressors to outputs, (..., n_outputs, n_columns), for coefficients of `terms`."""
+        found = np.zeros((*coefficients.shape[:-1], len(self.outputs), self.n_columns))
+        found[(..., *self.places)] = coefficients
         return found
 
     @cached_property

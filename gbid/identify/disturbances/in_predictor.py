@@ -20,19 +20,20 @@ def disturbing_columns(disturbances: Disturbances, theta: FloatArray) -> Dual:
     ----------
     disturbances : Disturbances
         Trends and hum.
-    theta : (n_p,) array
-        Parameters of a predictor.
+    theta : (..., n_p) array
+        Parameters of a predictor, at one point or several.
 
     Returns
     -------
     Dual
-        (n_outputs, n_columns), with its derivatives by all parameters.
+        (..., n_outputs, n_columns), with its derivatives by all parameters.
     """
-    count = len(disturbances.terms)
-    last = np.arange(len(theta) - count, len(theta))
-    slope = np.zeros((len(theta), len(disturbances.outputs), disturbances.n_columns))
-    slope[(last, *disturbances.places)] = 1.0
-    return Dual(disturbances.matrix(theta[last]), slope)
+    n_p, count = theta.shape[-1], len(disturbances.terms)
+    value = disturbances.matrix(theta[..., n_p - count :])
+    slope = np.zeros((n_p, *value.shape))
+    for i, (row, column) in enumerate(zip(*disturbances.places, strict=True)):
+        slope[n_p - count + i, ..., row, column] = 1.0
+    return Dual(value, slope)
 
 
 def with_random_walks(m: Matrices, outputs: Sequence[int], gains: ca.SX) -> Matrices:

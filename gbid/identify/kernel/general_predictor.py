@@ -114,6 +114,13 @@ class GeneralPredictor(ABC):
     def at(self, theta: FloatArray) -> Any:
         """Return the predictor at values of the free parameters, shape (n_free,), as its kernel needs it."""
 
+    def at_each(self, points: FloatArray) -> list[Any]:
+        """Return the predictors at several points that are close to each other, shape (n_points, n_free).
+
+        Those of a linear structure have the regressors of the first point: the same whole samples in their delays.
+        """
+        return [self.at(point) for point in points]
+
     @abstractmethod
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""

@@ -82,7 +82,7 @@ def omitted_part(
         if not np.isfinite(curvature).all():  # no steps can be chosen where the errors overflow
             found.append(PartHessian(*(np.full(size, np.nan) for size in sizes)))
         elif len(columns):
-            moved = [_moved(problem, part, theta, j, units) for j in columns]
+            moved = _moved(problem, part, theta, columns, units)
             made = part.kernel.left_out(v, part.blocks, starts[own], ends[own], weight, moved)
             found.append(PartHessian(*made))
         else:
@@ -90,13 +90,18 @@ def omitted_part(
     return found
 
 
-def _moved(problem: Shooting, part: RecordGroup, theta: FloatArray, j: int, units: FloatArray) -> Moved:
-    """Return the predictor of a part with one own parameter moved within its bounds."""
-    own = np.array(part.own(theta), float)
-    onto = np.eye(len(own))[j] if part.tie is None else np.abs(part.tie[j])
-    step = _DIFFERENCE * float((onto * units[part.index]).max())
-    step = min(step, _MOST * max(abs(float(own[j])), float((onto * problem.theta_scale[part.index]).max())))
-    if own[j] + step > part.predictor.free[j].upper:
-        step = -step
-    own[j] += step
-    return Moved(j, step, part.predictor.at(own))
+def _moved(
+    problem: Shooting, part: RecordGroup, theta: FloatArray, columns: Sequence[int], units: FloatArray
+) -> list[Moved]:
+    """Return predictors of a part with one own parameter moved within its bounds, for each of some parameters."""
+    here = np.array(part.own(theta), float)
+    own = np.tile(here, (len(columns) + 1, 1))  # the point itself is the first
+    steps = []
+    for row, j in zip(own[1:], columns, strict=True):
+        onto = np.eye(len(here))[j] if part.tie is None else np.abs(part.tie[j])
+        step = _DIFFERENCE * float((onto * units[part.index]).max())
+        step = min(step, _MOST * max(abs(float(here[j])), float((onto * problem.theta_scale[part.index]).max())))
+        steps.append(-step if here[j] + step > part.predictor.free[j].upper else step)
+        row[j] += steps[-1]
+    values = part.predictor.at_each(own)[1:]
+    return [Moved(j, step, v) for j, step, v in zip(columns, steps, values, strict=True)]

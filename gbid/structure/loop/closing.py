@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
+from gbid.errors import UsageError
 
 
 class LoopParts(NamedTuple):
@@ -67,6 +68,24 @@ class HeldFeedback(NamedTuple):
     def n_states(self) -> int:
         """Number of states of the controller."""
         return int(self.law.A.shape[0])
+
+    def refuse_other_data(self, name: str, holds: Sequence[str], sample_time: float) -> None:
+        """Refuse data that the controller of a structure with this name cannot have run with.
+
+        Raises
+        ------
+        UsageError
+            When the data have another sample time, or inputs that are not held.
+        """
+        if not np.isclose(self.sample_time, sample_time, rtol=1e-6, atol=0):
+            raise UsageError(
+                f"{name}: the controller runs every {self.sample_time:g} s, the recordings are sampled at "
+                f"{sample_time:g} s"
+            )
+        if "foh" in holds:
+            raise UsageError(
+                f"{name}: intersample = 'foh'; what is injected is held like the output of the controller: 'zoh'"
+            )
 
     def close(self, plant: LoopParts, law: ControlLaw | None = None) -> LoopParts:
         """Return the loop of a plant with held inputs and this controller, or its numbers."""
