@@ -107,8 +107,8 @@ class Predictor(GeneralPredictor):
     def at_each(self, points: FloatArray) -> list[PredictorValues]:
         """Return the matrices at several points; see `GeneralPredictor`."""
         parts, shift = self._parts(points)
-        each = range(len(points))
-        return [self._values(tuple(Dual(part.value[i], part.slope[:, i]) for part in parts), shift) for i in each]
+        own = ([Dual(part.value[i], part.slope[:, i]) for part in parts] for i in range(len(points)))
+        return [self._values(each, shift) for each in own]
 
     def _parts(self, theta: FloatArray) -> tuple[tuple[Dual, ...], list[int]]:
         """Return F, G, C and H, and the whole samples in the delays."""
@@ -123,7 +123,7 @@ class Predictor(GeneralPredictor):
             parts = (F - Kd @ C, side_by_side([drive - Kd @ feed, Kd]), C, side_by_side([feed, none]))
         return (look_ahead(parts, F, drive, C, feed, self.horizon) if self.horizon > 1 else parts), shift
 
-    def _values(self, parts: tuple[Dual, ...], shift: list[int]) -> PredictorValues:
+    def _values(self, parts: Sequence[Dual], shift: list[int]) -> PredictorValues:
         F, G, C, H = parts
         own = PredictorValues(F.value, G.value, C.value, H.value, F.slope, G.slope, C.slope, H.slope, tuple(shift))
         return _with_zero_states(own, self.spare) if self.spare else own
@@ -205,10 +205,7 @@ class Predictor(GeneralPredictor):
             buffer.set_res(0, values.data)
             buffer.set_res(1, slopes.reshape(-1).data)
             call()
-        if np.ndim(theta) == 1:
-            flat, jacobian = flat[0], jacobian[0]
-        else:
-            jacobian = jacobian.swapaxes(0, 1)
+        flat, jacobian = (flat[0], jacobian[0]) if np.ndim(theta) == 1 else (flat, jacobian.swapaxes(0, 1))
         result, start = [], 0
         for rows, columns in self._shapes:
             own = slice(start, start + rows * columns)
