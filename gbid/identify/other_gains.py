@@ -87,11 +87,11 @@ def lower_elsewhere(problem: Shooting, unknowns: FloatArray, box: tuple[FloatArr
     gains = [i for i in problem.noise if lower[i] < upper[i] and problem.prior.information[i] == 0]
     if not 0 < len(gains) <= _MOST_GAINS:
         return None
+    if not strongly_coloured(problem, unknowns):
+        return None
     joined, kept = in_one_window(problem)
     theta, starts = joined.unpack(unknowns[kept])
     values = joined.values(theta)
-    if not strongly_coloured(joined, unknowns[kept]):
-        return None
     least, found = joined.cost(joined.error_products(values, starts)), None
     size = np.abs(theta[gains]).max()
     for signs in product((-1.0, 1.0), repeat=len(gains)):

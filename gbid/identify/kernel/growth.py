@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.identify.predictor import PredictorValues
 
 _TENFOLD = 10.0  # growth that counts
+_TINY = float(np.finfo(float).tiny)
 
 
 def spectral_radius(values: list[PredictorValues]) -> float:
@@ -20,7 +19,7 @@ def spectral_radius(values: list[PredictorValues]) -> float:
     return max(float(np.abs(np.linalg.eigvals(F)).max()) for F in transitions)
 
 
-def growth_along(transitions: Sequence[FloatArray], samples: int) -> float:
+def growth_along(transitions: FloatArray, samples: int) -> float:
     """Return the growth of a small deviation in a sample, along a trajectory.
 
     It is that over the second half of the trajectory: a deviation that grows like time, as the phase of an oscillator
@@ -28,19 +27,30 @@ def growth_along(transitions: Sequence[FloatArray], samples: int) -> float:
 
     Parameters
     ----------
-    transitions : sequence of (n, n) array
+    transitions : (n_windows, n, n) array
         Derivatives of the end of each window by its start, for states of the order of one.
     samples : int
         Number of samples in all windows.
     """
-    if not all(np.isfinite(step).all() for step in transitions):
+    if not np.isfinite(transitions).all():
         return np.inf
-    product, logs = np.eye(len(transitions[0])), [0.0]
-    for step in transitions:
-        product = step @ product
-        size = max(float(np.linalg.norm(product)), float(np.finfo(float).tiny))
-        logs.append(logs[-1] + float(np.log(size)))
-        product = product / size
     half = len(transitions) // 2
-    growth = (logs[-1] - logs[half]) * len(transitions) / (len(transitions) - half)
+    (first, _), (second, after) = (_product(steps) for steps in (transitions[:half], transitions[half:]))
+    there, here = (max(float(np.linalg.norm(product)), _TINY) for product in (second @ first, first))
+    growth = float(np.log(there)) + after - (float(np.log(here)) if half else 0.0)
+    growth *= len(transitions) / (len(transitions) - half)
     return float(np.exp((growth if growth > np.log(_TENFOLD) else min(growth, 0.0)) / samples))
+
+
+def _product(steps: FloatArray) -> tuple[FloatArray, float]:
+    """Return the product of all steps, the last on the left, and the logarithm of the factor that is left out.
+
+    Neighbours are multiplied with one another, then their products, so that few calls do all.
+    """
+    log = 0.0
+    while len(steps) > 1:
+        last = steps[len(steps) // 2 * 2 :]
+        steps = np.concatenate([steps[1::2] @ steps[: len(steps) // 2 * 2 : 2], last])
+        size = np.maximum(np.sqrt(np.einsum("kij,kij->k", steps, steps)), _TINY)
+        steps, log = steps / size[:, None, None], log + float(np.log(size).sum())
+    return (steps[0], log) if len(steps) else (np.eye(steps.shape[1]), log)

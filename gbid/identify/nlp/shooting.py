@@ -182,11 +182,12 @@ class Shooting:
         return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
 
     def at(self, unknowns: FloatArray) -> Iterate:
-        """Return the values at a point; those of the last point are stored."""
+        """Return the values at a point; those of the last two points are stored."""
         key = unknowns.tobytes()
         if key not in self._last:
             iterate = self._evaluate(unknowns)
-            self._last.clear()
+            for oldest in list(self._last)[:-1]:
+                del self._last[oldest]
             self._last[key] = iterate
         return self._last[key]
 
@@ -208,6 +209,10 @@ class Shooting:
         """Return the largest growth of a small deviation in a sample, over all parts."""
         values = self.values(self.unpack(unknowns)[0])
         return self._growth(values, lambda: self.at(unknowns).sweeps)
+
+    def growth(self, values: list[Any], sweeps: Sequence[Sweep]) -> float:
+        """Return the same from a pass that is made already."""
+        return self._growth(values, lambda: sweeps)
 
     def _growth(self, values: list[Any], sweeps: Callable[[], Sequence[Sweep]]) -> float:
         def of(i: int, part: RecordGroup, v: Any) -> float:
@@ -286,7 +291,7 @@ class Shooting:
                 if not np.isfinite(products).all():
                     return self._invalid()
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
-            if self._watched and self._growth(values, lambda: sweeps) > 1:
+            if self._watched and self.growth(values, sweeps) > 1:
                 return self._invalid()
             return self._assembled(theta, starts, sweeps, products, factor)
 

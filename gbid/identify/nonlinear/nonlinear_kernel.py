@@ -154,7 +154,7 @@ class NonlinearKernel:
         by_start = found.end_start / state_scale[:, None] * state_scale
         window = blocks.length * blocks.per_window
         pieces = np.split(by_start, blocks.segment_first[1:])
-        return max(growth_along(list(piece), window * len(piece)) for piece in pieces)
+        return max(growth_along(piece, window * len(piece)) for piece in pieces)
 
     def feedback(self, v: NonlinearValues, blocks: Blocks, prediction: Prediction) -> PredictorValues:
         """Return the predictor of small deviations from the mean of the trajectory; see `Kernel`."""
@@ -184,6 +184,11 @@ def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -
         By its start.
     """
     n, n_p = end_theta.shape[1:]
+    if blocks.per_window == 1:
+        own = slice(blocks.n_windows)
+        by_start = np.zeros((len(end_theta), n, n))
+        by_start[own] = np.eye(n)
+        return Linked(np.zeros_like(end_theta), by_start, end_theta[own], end_start[own])
     both = np.zeros((len(end_theta), n, n_p + n))
     both[blocks.window_first, :, n_p:] = np.eye(n)
     ends = np.zeros((blocks.n_windows, n, n_p + n))
