@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from gbid.arrays import FloatArray
 from gbid.errors import GbidError
 
 
@@ -32,14 +32,18 @@ class Trouble:
 
 
 class Oracle(ca.Callback):
-    """CasADi callback of a Python function with named arguments and their shapes."""
+    """CasADi callback of a Python function with named arguments and their shapes.
+
+    The function gets the nonzeros of its arguments and returns those of its results, as arrays in column order. They
+    are views of CasADi's own memory: copies into its matrices and back took longer than what is between them.
+    """
 
     def __init__(
         self,
         name: str,
         inputs: Sequence[tuple[str, ca.Sparsity]],
         outputs: Sequence[tuple[str, ca.Sparsity]],
-        function: Callable[..., list[Any]],
+        function: Callable[..., Sequence[FloatArray | float]],
         trouble: Trouble,
     ) -> None:
         ca.Callback.__init__(self)
@@ -64,11 +68,23 @@ class Oracle(ca.Callback):
     def get_sparsity_out(self, i: int) -> ca.Sparsity:
         return self._outputs[i][1]
 
-    def eval(self, arguments: Sequence[ca.DM]) -> list[Any]:
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
+        """Write the results that are wanted; an argument that is not given is zero."""
+        given = [
+            np.zeros(sparsity.nnz()) if own is None else np.frombuffer(own)
+            for own, (_, sparsity) in zip(arguments, self._inputs, strict=True)
+        ]
+        found: Sequence[FloatArray | float] = [np.nan] * len(results)
         try:
-            return self._call(*arguments)
+            found = self._call(*given)
         except (ArithmeticError, np.linalg.LinAlgError, GbidError):  # a model that overflows, a delay below zero
             pass
         except Exception as error:
             self._trouble.defect = self._trouble.defect or error
-        return [ca.DM(sparsity, np.nan) for _, sparsity in self._outputs]
+        for own, values in zip(results, found, strict=True):
+            if own is not None and len(own):
+                np.frombuffer(own)[:] = values
+        return 0

@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, IntArray
 from gbid.identify.nlp.functions.casadi_callback import Oracle, Trouble
 from gbid.identify.nlp.hessian import Curvature
 from gbid.identify.nlp.patterns import Pattern
-from gbid.identify.nlp.record_group import Iterate
 from gbid.identify.nlp.shooting import Shooting
 
 
@@ -60,48 +59,45 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
     """
     n, m, extra, placed = problem.n_unknowns, problem.n_gaps, problem.extra, problem.placed
     vector, scalar, empty = ca.Sparsity.dense(n, 1), ca.Sparsity.dense(1, 1), ca.Sparsity(0, 0)
-    limits = ca.sparsify(ca.DM(np.pad(problem.limits[0], ((0, 0), (0, n - problem.n_theta)))))
+    limits = problem.limits[0]
     n_extra = 0 if extra is None else len(extra.lower)
-    order = np.zeros(0, int) if placed is None else np.argsort(placed.places)
-    columns = np.zeros(0, int) if placed is None else placed.places[order]
-    rows = np.tile(np.arange(n_extra), len(columns))
-    further = ca.Sparsity.triplet(n_extra, n, rows.tolist(), columns.repeat(n_extra).tolist())
-    constraints = ca.Sparsity.dense(m + limits.rows() + n_extra, 1)
-    gaps, hessian = _sparsity(problem.jacobian_pattern), _sparsity(problem.hessian_pattern)
-    jacobian = ca.vertcat(gaps, limits.sparsity(), further)
+    columns = np.zeros(0, int) if placed is None else placed.places
+    jacobian, order = _stacked(problem.jacobian_pattern, limits, n_extra, columns)
+    bounds = limits[limits != 0]
+    constraints, hessian = ca.Sparsity.dense(m + len(limits) + n_extra, 1), _sparsity(problem.hessian_pattern)
     point = [("x", vector), ("p", empty)]
     multipliers = [("lam_f", scalar), ("lam_g", constraints)]
 
-    def at(x: ca.DM) -> Iterate:
-        return problem.at(_flat(x))
+    def held(x: FloatArray) -> FloatArray:
+        here = problem.at(x)
+        return np.concatenate([here.gaps, limits @ x[: problem.n_theta], here.extra_rows])
 
-    def held(x: ca.DM) -> ca.DM:
-        here = at(x)
-        return ca.vertcat(ca.DM(here.gaps), limits @ x, ca.DM(here.extra_rows))
+    def slopes(x: FloatArray) -> FloatArray:
+        here = problem.at(x)
+        return np.concatenate([here.jacobian, bounds, here.extra_slopes.ravel()])[order]
 
-    def slopes(x: ca.DM) -> ca.DM:
-        here = at(x)
-        return ca.vertcat(ca.DM(gaps, here.jacobian), limits, ca.DM(further, here.extra_slopes[:, order].T.ravel()))
-
-    def cost(x: ca.DM) -> list[Any]:
+    def cost(x: FloatArray) -> list[FloatArray | float]:
         found = np.nan
         try:
-            found = at(x).cost
+            found = problem.at(x).cost
             return [found, held(x)]
         finally:
             trouble.points += not np.isfinite(found)
 
-    def second(x: ca.DM, lam_f: ca.DM, lam_g: ca.DM) -> ca.DM:
-        lam = _flat(lam_g)
-        entries = curvature(_flat(x), float(lam_f), lam[:m])
+    def second(x: FloatArray, lam_f: FloatArray, lam_g: FloatArray) -> FloatArray:
+        entries = curvature(x, float(lam_f[0]), lam_g[:m])
         if placed is not None and n_extra:
-            bent = placed.curvature(*problem.unpack(_flat(x)), lam[len(lam) - n_extra :], problem.hessian_pattern)
-            entries = entries + bent
-        return ca.DM(hessian, entries)
+            last = lam_g[len(lam_g) - n_extra :]
+            entries = entries + placed.curvature(*problem.unpack(x), last, problem.hessian_pattern)
+        return entries
 
     value = Oracle("nlp", [("x", vector)], [("f", scalar), ("g", constraints)], cost, trouble)
     gradient = Oracle(
-        "grad_f", point, [("f", scalar), ("grad_f_x", vector)], lambda x, _p: [at(x).cost, at(x).gradient], trouble
+        "grad_f",
+        point,
+        [("f", scalar), ("grad_f_x", vector)],
+        lambda x, _p: [problem.at(x).cost, problem.at(x).gradient],
+        trouble,
     )
     jac = Oracle(
         "jac_g",
@@ -124,8 +120,19 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
     return NlpFunctions(value, gradient, jac, hess, lower, upper)
 
 
-def _flat(values: ca.DM) -> FloatArray:
-    return np.asarray(values, float).ravel()
+def _stacked(gaps: Pattern, limits: FloatArray, n_extra: int, used: IntArray) -> tuple[ca.Sparsity, IntArray]:
+    """Return the sparsity of gaps over limits over further constraints, and the order of their entries in it.
+
+    The entries are those of the gaps in the order of their pattern, the nonzeros of the limits row by row, and the
+    slopes of the further constraints by the `used` unknowns row by row.
+    """
+    own, of = np.nonzero(limits)
+    further = np.arange(n_extra).repeat(len(used))
+    rows = np.concatenate([gaps.rows, gaps.shape[0] + own, gaps.shape[0] + len(limits) + further])
+    columns = np.concatenate([gaps.columns, of, np.tile(used, n_extra)])
+    order = np.lexsort((rows, columns))
+    shape = gaps.shape[0] + len(limits) + n_extra, gaps.shape[1]
+    return _sparsity(Pattern(shape, rows[order], columns[order], order)), order
 
 
 def _sparsity(pattern: Pattern) -> ca.Sparsity:
