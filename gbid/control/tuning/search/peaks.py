@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import matrix_balance
-from scipy.linalg.lapack import zgees
+from scipy.linalg.lapack import dgebal, zgees
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.search.kernels.compiled import (
+    SchurResponse,
+    compiled_peak_slopes,
+    compiled_peaks,
+    kernels,
+)
 from gbid.control.tuning.search.loop_family import Derivatives, Loops
 from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
@@ -55,12 +60,17 @@ class ModalResponse:
         m, n_y, n = C.shape
         outputs, inputs = (C @ modes.right).transpose(0, 2, 1), modes.left @ loops.B
         self._residues = (outputs[:, :, :, None] * inputs[:, :, None, :]).reshape(m, n, n_y * inputs.shape[2])
-        self._forms: dict[int, tuple[ComplexArray, ComplexArray, ComplexArray]] = {}
+        self._forms: dict[int, SchurResponse] = {}
         self._useless = np.zeros(m, bool)
         # large entries may come from units of the states, or from eigenvectors that are nearly parallel
         suspect = np.flatnonzero(~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT))
         if len(suspect):
             self._useless[suspect] = ~(self._error(suspect) < _WRONG)
+
+    def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
+        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops without use of their modes."""
+        forms = {int(loop): self._form(loop) for loop in np.flatnonzero(self._useless)}
+        return self._poles, self._residues, self._D, forms
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
@@ -91,15 +101,19 @@ class ModalResponse:
         off = np.abs(self(frequency, loops) - exact).max(axis=(1, 2, 3))
         return np.asarray(off / np.abs(exact).max(axis=(1, 2, 3)))
 
-    def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
-        """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
+    def _form(self, loop: int) -> SchurResponse:
+        """Return the Schur form of a loop with its inputs and outputs."""
         if loop not in self._forms:
             # a Schur form is only as good as the units of the states
-            A, (unit, _) = matrix_balance(self._loops.A[loop], permute=False, separate=True)
+            A, _, _, unit, _ = dgebal(self._loops.A[loop], scale=1, permute=0)
             form, _, _, basis, *_ = zgees(lambda _: None, A)
             B, C = self._loops.B[loop] / unit[:, None], self._loops.C[loop, self._rows] * unit
             self._forms[loop] = form, basis.conj().T @ B, C @ basis
-        form, B, C = self._forms[loop]
+        return self._forms[loop]
+
+    def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
+        """Return the responses of one loop (k, f, n_y, n_d), from its Schur form by substitution at all frequencies."""
+        form, B, C = self._form(loop)
         n, n_d = B.shape
         # row i of (j w - T) X = B, for all frequencies and inputs side by side
         resolvent = 1.0 / (1j * np.repeat(frequency, n_d) - np.diag(form)[:, None])
@@ -157,6 +171,8 @@ def find_peaks(
     """
     m = len(loops.A)
     respond_at = ModalResponse(loops, modes, rows)
+    if gain is _largest and (library := kernels()) is not None and (loops.D[:, rows].shape[1:]) == (2, 2):
+        return Peaks(*compiled_peaks(library, *respond_at.parts(), _BASE, extra, least))
     grid = _grid(modes, extra)
     values = gain(respond_at(grid), grid)
     padded = np.full((m, grid.shape[1] + 2), -np.inf)
@@ -223,6 +239,10 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
     At a maximum over frequency this is the derivative of the peak, because the change of its frequency has an effect of
     second order only. With ``S = C R B + D``, ``R = (j w - A)^-1``: ``dS = dD + dC R B + C R (dB + dA R B)``.
     """
+    library = kernels()
+    first, last, _ = rows.indices(loops.C.shape[1])
+    if library is not None and (last - first, loops.B.shape[2]) == (2, 2):
+        return compiled_peak_slopes(library, loops, first, peaks.loop, peaks.frequency)
     i, n = peaks.loop, loops.A.shape[-1]
     system = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i]
     R = np.linalg.inv(system)

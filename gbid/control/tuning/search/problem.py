@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.search.kernels.nearby_eigenvalues import NearbyEigenvalues
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily, Loops
 from gbid.control.tuning.search.measure import LoopState
@@ -246,14 +247,14 @@ class GainProblem:
             parts = [family.derivatives(x).of(used) for x in designs]
             loops = Derivatives.joined(parts)
             spectral = any(functions[i].kind in ("aim", "pole") for i in own)
-            system = Eigensystem.of(loops.A) if spectral else None
+            near = NearbyEigenvalues(loops, len(used)) if spectral else None
             for kind in {functions[i].kind for i in own}:
                 same = [i for i in own if functions[i].kind == kind]
                 # the loop of each piece in each design (n, q)
                 first = np.searchsorted(used, [functions[i].loop for i in same])
                 which = first[:, None] + len(used) * np.arange(len(designs))
                 places = np.array([functions[i].place for i in same])
-                found[:, same] = self._slopes_of(kind, places, f, loops, system, which).transpose(1, 0, 2)
+                found[:, same] = self._slopes_of(kind, places, f, loops, near, which).transpose(1, 0, 2)
         for i, piece in enumerate(functions):
             rows = [row for name, row, _ in self.linear if name == piece.kind]
             if rows:
@@ -266,7 +267,7 @@ class GainProblem:
         places: ComplexArray,
         f: int,
         loops: Derivatives,
-        system: Eigensystem | None,
+        near: NearbyEigenvalues | None,
         which: npt.NDArray[np.intp],
     ) -> FloatArray:
         """Return the gradients of n functions in the chosen loops (n, q, d), NaN where they are not available."""
@@ -275,10 +276,10 @@ class GainProblem:
             peaks = Peaks(flat, np.repeat(places.imag, which.shape[1]), np.ones(len(flat)))
             slopes, values = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
             return (slopes / values[:, None]).reshape(shape)
-        if system is None or kind not in ("aim", "pole"):
+        if near is None or kind not in ("aim", "pole"):
             return np.full(shape, np.nan)
-        at = np.abs(system.values[which] - places[:, None, None]).argmin(axis=2).ravel()
-        return self._of_values(kind, f, system.values[flat, at], system.slopes(flat, at, loops.dA))[1].reshape(shape)
+        values, slopes = near.slopes(which, places)
+        return self._of_values(kind, f, values, slopes)[1].reshape(shape)
 
     def by_loop(self, family: LoopFamily, x: FloatArray) -> FloatArray:
         """Return measures of a design in each loop of a family, larger is worse (n, m).

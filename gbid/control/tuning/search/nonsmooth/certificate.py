@@ -18,6 +18,8 @@ ROOM = 5e-3
 """Largest relative rise of the objective that an optimal design leaves open."""
 _RADII = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 _PENALTY = 10.0
+_ACTIVE = 1e-4
+"""Distance from a limit, as log, or from a bound, in units of the gain, within which it is active."""
 _KEPT = 0.1
 """Share of the promised gain that a better point must reach."""
 
@@ -127,18 +129,23 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
             continue
         lowest = min(piece.value for piece in aims)
         room = (lowest - here.score.value) / value
-        hull = _bounds(problem, x, unit, 1e-6)
-        hull.add(
-            ActiveFunctions(
-                here.score,
-                tuple(piece for piece in aims if piece.value <= lowest + ROOM * value),
-                tuple(piece for piece in here.limits if piece.value >= -1e-4),
-            )
+        active = ActiveFunctions(
+            here.score,
+            tuple(piece for piece in aims if piece.value <= lowest + ROOM * value),
+            tuple(piece for piece in here.limits if piece.value >= -_ACTIVE),
         )
-        for one in group:
-            hull.add_meeting(*_spreads(one, problem.limits.objective == "damping"))
-        gain = float(np.linalg.norm(hull.shortest())) / value
-        best = min(best, Certificate(gain, 0.0, room, tuple(one.mean.size for one in group)), key=_order)
+        nearer = 0.0
+        for near in (1e-6, _ACTIVE):
+            hull = _bounds(problem, x, unit, near)
+            hull.add(active)
+            for one in group:
+                hull.add_meeting(*_spreads(one, problem.limits.objective == "damping"))
+            gain = float(np.linalg.norm(hull.shortest())) / value
+            # on the way to a bound that is not quite reached the objective rises by at most what it would without it
+            found = Certificate(gain, 0.0, room + nearer, tuple(one.mean.size for one in group))
+            best, nearer = min(best, found, key=_order), _ACTIVE * gain
+            if found.holds:
+                break
     return best
 
 

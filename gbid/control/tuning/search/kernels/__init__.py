@@ -1,0 +1,1 @@
+"""Compiled kernels of the search: peaks over frequency, and gradients of peaks and eigenvalues."""
