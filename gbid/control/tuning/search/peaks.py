@@ -69,7 +69,7 @@ class ModalResponse:
 
     def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
         """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops without use of their modes."""
-        forms = {int(loop): self._form(loop) for loop in np.flatnonzero(self._useless)}
+        forms = {int(loop): self._form(int(loop)) for loop in np.flatnonzero(self._useless)}
         return self._poles, self._residues, self._D, forms
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
@@ -86,7 +86,7 @@ class ModalResponse:
         found = (resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None]
         loops = np.arange(len(frequency)) if which is None else which
         for loop in np.unique(loops[useless]) if useless.any() else ():
-            found[loops == loop] = self._without_modes(loop, frequency[loops == loop])
+            found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
         return np.asarray(found)
 
     def _error(self, loops: IntArray) -> FloatArray:

@@ -274,8 +274,8 @@ class GainProblem:
         shape, flat = (*which.shape, len(self.lower)), which.ravel()
         if kind in _RESPONSES:
             peaks = Peaks(flat, np.repeat(places.imag, which.shape[1]), np.ones(len(flat)))
-            slopes, values = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
-            return (slopes / values[:, None]).reshape(shape)
+            by_gains, heights = peak_slopes(loops, rows_of(self.families[f], kind), peaks)
+            return (by_gains / heights[:, None]).reshape(shape)
         if near is None or kind not in ("aim", "pole"):
             return np.full(shape, np.nan)
         values, slopes = near.slopes(which, places)
