@@ -19,7 +19,7 @@ from gbid.experiment.load import load_experiment
 from gbid.experiment.run.stage import run_stage
 from gbid.experiment.stages.cycle.stage import made_rows
 from gbid.experiment.stages.registry import STAGES
-from gbid.report.tables.cycle_tables import cycle_documents, cycle_summary
+from gbid.report.tables.loop_tables import cycle_documents, cycle_summary
 from gbid.tables.markdown import markdown_table
 
 

@@ -11,9 +11,10 @@ from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.stage import Stage
 from gbid.experiment.run.view import Document, View, outcomes_view
 from gbid.experiment.stages.cycle.stage import made_rows
-from gbid.report.tables.cycle_tables import cycle_documents, cycle_summary
+from gbid.experiment.stages.loop.cost import made_costs
 from gbid.report.tables.fit_tables import fit_tables
 from gbid.report.tables.impact_tables import impact_tables
+from gbid.report.tables.loop_tables import cycle_documents, cycle_summary, loop_documents, loop_tables
 from gbid.report.tables.lpv_tables import lpv_table
 from gbid.report.tables.recording_tables import prefilter_table, recording_table
 from gbid.report.tables.static_tables import static_table
@@ -60,6 +61,11 @@ VIEWS: Mapping[str, View] = {
         lambda _, outcomes: {"prefilter": of.prefilter_documents(outcomes)}, _one("prefilter", prefilter_table)
     ),
     "fit": View(lambda job, outcomes: {"fits": of.fit_documents(job, outcomes)}, _fit_tables),
+    "loop": View(lambda *_: {}, lambda _: []),  # its designs are shown with the others
+    "loop cost": View(
+        lambda job, _: {"loops": loop_documents(made_costs(job))},
+        lambda document: loop_tables(document["loops"]),
+    ),
     "static": View(
         lambda job, outcomes: {"static": of.static_documents(job, outcomes)},
         lambda document: map(static_table, document["static"]),

@@ -79,9 +79,16 @@ class Experiment:
         return [q for q in self.recordings.values() if any(fnmatchcase(q.name, p) for p in patterns)]
 
     def fit_recordings(self, fit: str) -> list[PlannedRecording]:
-        """Return the recordings of a fit; all excited recordings when the fit names none."""
-        patterns = self.spec.fits[fit].recordings
-        return self.matching(patterns) if patterns else [q for q in self.recordings.values() if q.excited]
+        """Return the recordings of a fit.
+
+        When it names none, all excited ones; of the rig those in the loop for a fit with `loop`, else the others.
+        """
+        section = self.spec.fits[fit]
+        if section.recordings:
+            return self.matching(section.recordings)
+        closed = section.loop is not None
+        excited = (q for q in self.recordings.values() if q.excited)
+        return [q for q in excited if q.imported is not None or q.in_loop == closed]
 
     def problem(self, location: Location, text: str) -> Problem:
         """Return a problem at the position of a key."""

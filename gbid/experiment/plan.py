@@ -20,7 +20,13 @@ NO_POINT = "any"
 
 _STACK_SIGNALS = {name: SIGNALS[name].channels for name in ("y_p", "v", "r_p")}
 _COURSE_SIGNALS = {name: SIGNALS[name].channels for name in ("pressure_bar", "speed_rpm", "unbalance")}
-_EXTRA_SIGNALS = {"stack_staircase": _STACK_SIGNALS, "hammer": {"f": SIGNALS["f"].channels}}
+_LOOP_SIGNALS = {"w": SIGNALS["w"].channels}
+_EXTRA_SIGNALS = {
+    "stack_staircase": _STACK_SIGNALS,
+    "hammer": {"f": SIGNALS["f"].channels},
+    "loop": _LOOP_SIGNALS,
+    "loop_still": _LOOP_SIGNALS,
+}
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,11 @@ class PlannedRecording:
         return not self.excited and not self.staircase and self.run[:1] in ((), ("stationary",))
 
     @property
+    def in_loop(self) -> bool:
+        """Whether a controller of the section rig acts."""
+        return self.run[:1] in (("loop",), ("loop_still",))
+
+    @property
     def point(self) -> str:
         """Operating point as text, e.g. ``p5_n6000``; ``any`` when the conditions contain no operating point."""
         pressure, speed = self.conditions.get("pressure_bar"), self.conditions.get("speed_rpm")
@@ -106,13 +117,20 @@ def _of_rig(rig: RigSection, point: OperatingPoint, location: Location) -> Itera
         stairs = run[0] in ("staircase", "stack_staircase")
         for i in range(count):
             name = f"{label}_{word}{i + 1}"
-            yield PlannedRecording(name, run[0] in ("prbs", "played"), conditions, own, location, None, stairs, run)
+            excited = run[0] in ("prbs", "played", "loop")
+            yield PlannedRecording(name, excited, conditions, own, location, None, stairs, run)
 
     yield from planned("still", rig.stationary.recordings, ("stationary",))
     prbs = rig.prbs.recordings if point.prbs_recordings is None else point.prbs_recordings
     yield from planned("prbs", prbs, ("prbs",))
     if rig.played is not None and _there(rig.played.at, point):
         yield from planned("played", rig.played.recordings, ("played",))
+    if rig.loop is not None:
+        offline = rig.loop.runout == "offline"
+        yield from planned(
+            "loop_still", int(offline) if rig.loop.stationary is None else rig.loop.stationary, ("loop_still",)
+        )
+        yield from planned("loop", rig.loop.recordings, ("loop",))
     if rig.staircase is not None and _there(rig.staircase.at, point):
         for axis in rig.staircase.axes:
             yield from planned(f"stairs_{axis}", rig.staircase.recordings, ("staircase", axis))

@@ -16,6 +16,7 @@ from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made
 from gbid.experiment.stages.fit.structures import fit_channels
 from gbid.experiment.stages.importing.plan import data_file, mapping_of
+from gbid.experiment.stages.loop.plan import closed_loop_settings, stationary_at
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options, rig_experiment
 from gbid.recording import (
@@ -116,14 +117,18 @@ def _known_keys(_experiment: Experiment) -> dict[str, str]:
 
 
 def _rig_key(experiment: Experiment, planned: PlannedRecording) -> str:
+    sources: list[str] = []
     settings = {
         **as_settings(record_options(experiment, planned)),
         "experiment": {str(planned.run[0]): asdict(rig_experiment(experiment, planned))},
         "machine": asdict(machine_at(experiment, planned, rig_model(experiment))),
     }
+    if planned.in_loop:
+        settings |= closed_loop_settings(experiment)
+        sources = [recording_key(experiment, still) for still in stationary_at(experiment, planned.point)]
     if planned.run[:1] == ("course",):
         settings["surfaces"] = {key: list(row) for key, row in rig_model(experiment).coefficients.items()}
-    return content_key("rig", settings)
+    return content_key("rig", settings, sources)
 
 
 def load_made(job: Job, planned: PlannedRecording) -> Recording:

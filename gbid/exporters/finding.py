@@ -14,12 +14,14 @@ from gbid.experiment.run.job import Job
 from gbid.experiment.stages.fit.plan import fit_models
 from gbid.experiment.stages.fit.stage import load_made_fit
 from gbid.experiment.stages.impact.plan import TUNED
-from gbid.experiment.stages.target.plan import chain_options, made_maps
+from gbid.experiment.stages.prefilter.stage import MAP_FOLDER
+from gbid.experiment.stages.target.plan import chain_options
 from gbid.experiment.stages.tune.plan import design_structure
 from gbid.exporters.export_target import ExportItem, Point, Surroundings
 from gbid.identify import load_fit
 from gbid.lpv import LPVModel, load_model
 from gbid.naming.paths import file_stem
+from gbid.prefilter import RunoutMap, load_prefilter
 from gbid.yaml_file import read_yaml
 
 FOLDER = "export"
@@ -162,3 +164,13 @@ def _tuned(job: Job, name: str) -> ControllerDesign:
     section = job.experiment.spec.controller[name]
     own = ":" in section.structure and section.schedule is None
     return load_controller(path, design_structure(job.experiment, section) if own else None)
+
+
+def made_maps(job: Job) -> tuple[RunoutMap, ...]:
+    """Return the run-out maps that the prefilter of the experiment has stored, one for each operating point."""
+    found = []
+    for point in job.experiment.points:
+        path = job.path(MAP_FOLDER, point)
+        if job.experiment.spec.prefilter is not None and path.is_file():
+            found.append(load_prefilter(path)[0])
+    return tuple(each for each in found if each is not None)

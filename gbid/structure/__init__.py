@@ -16,7 +16,7 @@ from gbid.structure.piezo_pair import PiezoPair
 from gbid.structure.plant import Plant
 from gbid.structure.rotor_bearing import KEY_PARAMETERS, RotorBearing
 from gbid.structure.scheduling.scheduled_structure import ScheduledStructure, scheduled
-from gbid.structure.user import load_structure
+from gbid.structure.user import load_structure, load_structure_or_model
 
 __all__ = [
     "KEY_PARAMETERS",
@@ -44,6 +44,7 @@ __all__ = [
     "frequency_grid",
     "known_names",
     "load_structure",
+    "load_structure_or_model",
     "model_of",
     "nonlinear_model",
     "pade_delay",

@@ -8,6 +8,9 @@ from pathlib import Path
 from gbid.errors import UsageError
 from gbid.structure.any_structure import AnyStructure, anatomy
 from gbid.structure.linear import in_one_line
+from gbid.structure.numeric.linear_model import LinearModel
+
+_REMEDY = "make it a gbid.LinearStructure or gbid.NonlinearStructure"
 
 
 def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
@@ -30,6 +33,21 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
     UsageError
         When the file is missing, when its import fails, when it has no such name, or when its equations do not fit.
     """
+    found = load_structure_or_model(reference, folder)
+    if isinstance(found, LinearModel):
+        file, _, name = reference.rpartition(":")
+        raise UsageError(f"{(folder or Path()) / file}: {name} is not a structure; {_REMEDY}")
+    return found
+
+
+def load_structure_or_model(reference: str, folder: Path | None = None) -> AnyStructure | LinearModel:
+    """Return the structure or the model with numbers named as ``file.py:name``; see `load_structure`.
+
+    Raises
+    ------
+    UsageError
+        As `load_structure`, but for a `LinearModel`.
+    """
     file, separator, name = reference.rpartition(":")
     if not separator or not file.endswith(".py"):
         raise UsageError(f"structure {reference!r}: write it as file.py:name")
@@ -46,18 +64,18 @@ def load_structure(reference: str, folder: Path | None = None) -> AnyStructure:
         raise UsageError(f"{path}: import failed: {in_one_line(error)}") from error
     if not hasattr(module, name):
         raise UsageError(f"{path}: no name {name!r} in this file")
-    structure = getattr(module, name)
-    if not isinstance(structure, AnyStructure) and callable(structure):
+    found = getattr(module, name)
+    if not isinstance(found, AnyStructure | LinearModel) and callable(found):
         try:
-            structure = structure()
+            found = found()
         except Exception as error:
             raise UsageError(f"{path}: {name}() failed: {in_one_line(error)}") from error
-    if not isinstance(structure, AnyStructure):
-        raise UsageError(
-            f"{path}: {name} is not a structure; make it a gbid.LinearStructure or gbid.NonlinearStructure"
-        )
+    if isinstance(found, LinearModel):
+        return found
+    if not isinstance(found, AnyStructure):
+        raise UsageError(f"{path}: {name} is not a structure; {_REMEDY}")
     try:
-        anatomy(structure)
+        anatomy(found)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from error
-    return structure
+    return found

@@ -13,6 +13,8 @@ from gbid.experiment.stages.figures.stage import FIGURES
 from gbid.experiment.stages.fit.stage import FIT
 from gbid.experiment.stages.impact.stage import IMPACT
 from gbid.experiment.stages.importing.stage import IMPORT
+from gbid.experiment.stages.loop.cost import LOOP_COST
+from gbid.experiment.stages.loop.stage import LOOP
 from gbid.experiment.stages.lpv.stage import LPV
 from gbid.experiment.stages.nominal.stage import NOMINAL
 from gbid.experiment.stages.prefilter.stage import PREFILTER
@@ -22,6 +24,6 @@ from gbid.experiment.stages.target.stage import TARGET
 from gbid.experiment.stages.tune.stage import TUNE
 
 STAGES: tuple[Stage, ...] = (
-    *(RIG, IMPORT, PREFILTER, FIT),
-    *(STATIC, CROSSVAL, NOMINAL, LPV, EXCITE, TUNE, TARGET, IMPACT, CYCLE, FIGURES),
+    *(LOOP, RIG, IMPORT, PREFILTER, FIT),
+    *(STATIC, LOOP_COST, CROSSVAL, NOMINAL, LPV, EXCITE, TUNE, TARGET, IMPACT, CYCLE, FIGURES),
 )

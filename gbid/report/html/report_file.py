@@ -18,6 +18,7 @@ from gbid.report.html.sections.controller_section import controller_section
 from gbid.report.html.sections.cycle_section import cycle_section
 from gbid.report.html.sections.fits_section import fits_section
 from gbid.report.html.sections.impacts_section import impacts_section
+from gbid.report.html.sections.loops_section import loops_section
 from gbid.report.html.sections.quality_section import quality_section
 from gbid.report.html.sections.static_section import static_section
 from gbid.report.html.sections.summary_section import not_done, summary_section, warnings
@@ -26,7 +27,7 @@ from gbid.report.html.sections.validation_section import nominal_section, valida
 from gbid.report.reader import Results
 
 NAME = "report.html"
-_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle")
+_FOLDERS = ("static", "crossval", "lpv", "nominal", "impacts", "controller", "cycle", "loops")
 
 
 def write_report(job: Job, path: Path | None = None) -> Outcome:
@@ -73,6 +74,7 @@ def report_text(results: Results, key: str = "") -> str:
         quality_section(results),
         static_section(results, pictures),
         fits_section(results),
+        loops_section(results),
         validation_section(results, pictures),
         nominal_section(results, pictures),
         surfaces_section(results, pictures),

@@ -20,6 +20,7 @@ from gbid.experiment.stages.crossval.stage import read_crossval, read_summary
 from gbid.experiment.stages.cycle.rows import CycleRow
 from gbid.experiment.stages.cycle.stage import made_rows
 from gbid.experiment.stages.impact.stage import loops_without_controller, study_tasks
+from gbid.experiment.stages.loop.cost import LoopCostRow, made_costs
 from gbid.experiment.stages.lpv.stage import read_surfaces
 from gbid.experiment.stages.nominal.stage import nominal_of
 from gbid.experiment.stages.prefilter.stage import FOLDER as PREFILTERED
@@ -239,6 +240,11 @@ class Results:
         return StageResults(
             found.found, {**{loop: f"{loop} loop: {why}" for loop, why in idle.items()}, **found.missing}
         )
+
+    @cached_property
+    def loop_costs(self) -> list[LoopCostRow]:
+        """Standard deviations in the loop beside those without controller; empty while they are not made."""
+        return made_costs(self.job)
 
     @cached_property
     def cycle(self) -> list[CycleRow]:

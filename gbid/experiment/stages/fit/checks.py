@@ -8,19 +8,41 @@ from gbid.errors import GbidError
 from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.problems import Found, Location, nearest
 from gbid.experiment.stages.fit.schema import FitSection
-from gbid.experiment.stages.fit.structures import fit_channels, fit_disturbances, make_structure, structure_or_none
+from gbid.experiment.stages.fit.structures import (
+    fit_channels,
+    fit_disturbances,
+    make_structure,
+    plant_structure,
+    structure_or_none,
+)
+from gbid.experiment.stages.loop.plan import found_controller
+from gbid.experiment.stages.loop.schema import LoopSection
 from gbid.structure import AnyStructure, Parameter, anatomy
 
 
 def structures_load(experiment: Experiment) -> Found:
     """Yield a problem for each fit whose structure is unknown or cannot be built."""
-    for name in experiment.spec.fits:
+    for name, section in experiment.spec.fits.items():
         try:
-            structure = make_structure(experiment, name)
-            anatomy(structure)
+            plant_structure(experiment, name)
         except GbidError as error:
             key = "options" if "option" in str(error) else "structure"
             yield ("fits", name, key), str(error)
+            continue
+        if section.loop is not None and not _controller_is_found(experiment, section.loop):
+            continue  # the checks of loops report it
+        try:
+            anatomy(make_structure(experiment, name, planned=True))
+        except GbidError as error:
+            yield ("fits", name, "structure" if section.loop is None else "loop"), str(error)
+
+
+def _controller_is_found(experiment: Experiment, section: LoopSection) -> bool:
+    try:
+        found_controller(experiment, section, planned=True)
+    except GbidError:
+        return False
+    return True
 
 
 def fits_find_recordings(experiment: Experiment) -> Found:

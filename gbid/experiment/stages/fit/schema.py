@@ -19,7 +19,9 @@ from gbid.experiment.fields import (
     Section,
     Switch,
     Text,
+    given,
 )
+from gbid.experiment.stages.loop.schema import LoopSection
 from gbid.identify.disturbances.asked import HIGHEST_DEGREE, TREND_WORDS, TrendName
 
 
@@ -122,11 +124,13 @@ class FitSection(Section):
     """One fit of a structure, to each recording or to all together; see `gbid.fit`.
 
     `left_out`: by name of a recording, stretches ``[from, to]`` [s] from the first sample; the sample at ``to`` is used
-    again. `local` needs `together`. ``inputs: []`` is a free decay.
+    again. `local` needs `together`. ``inputs: []`` is a free decay. `loop`: the recordings were made under a
+    controller; the structure is then that of the loop, from what was injected.
     """
 
     structure: Text
     options: StructureOptions = StructureOptions()
+    loop: Annotated[LoopSection | None, BeforeValidator(given)] = None
     recordings: Names | None = None
     together: Switch = False
     inputs: NamesOrNone | None = None

@@ -104,7 +104,7 @@ def fit_key(experiment: Experiment, name: str, recordings: list[str]) -> str:
 def fit_settings(experiment: Experiment, name: str, recordings: list[str]) -> dict[str, Any]:
     """Return the settings of a fit to recordings for content keys."""
     section = experiment.spec.fits[name]
-    settings = section.model_dump(exclude={"structure", "options", "recordings", "together"})
+    settings = section.model_dump(exclude={"structure", "options", "loop", "recordings", "together"})
     settings["left_out"] = {recording: settings["left_out"].get(recording) for recording in recordings}
     settings["structure"] = structure_settings(experiment, name)
     settings["recordings"] = recordings

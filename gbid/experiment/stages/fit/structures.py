@@ -10,6 +10,8 @@ from gbid.errors import GbidError, UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.problems import nearest
 from gbid.experiment.stages.fit.schema import StructureOptions
+from gbid.experiment.stages.loop.looped import looped
+from gbid.experiment.stages.loop.plan import controller_identity
 from gbid.identify.disturbances.asked import asked_disturbances
 from gbid.identify.disturbances.disturbances import Disturbances
 from gbid.structure import (
@@ -59,14 +61,31 @@ BUILT_IN: dict[str, tuple[Callable[[dict[str, Any]], Structure | ScheduledStruct
 """Structures that come with gbid: function that builds each, and its options."""
 
 
-def make_structure(experiment: Experiment, fit: str) -> AnyStructure:
-    """Return the structure of a fit.
+def make_structure(experiment: Experiment, fit: str, *, planned: bool = False) -> AnyStructure:
+    """Return the structure of a fit, that of the loop if its recordings were made in one.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    fit : str
+        Name of the fit.
+    planned : bool
+        Whether a controller that is not tuned yet may stand with the start values of its gains, for checks.
 
     Raises
     ------
     UsageError
         When the name or an option is unknown, or the file does not define a structure.
+    InputError
+        When the controller of the loop has not been tuned with the present settings.
     """
+    section, plant = experiment.spec.fits[fit], plant_structure(experiment, fit)
+    return plant if section.loop is None else looped(experiment, plant, section.loop, fit, planned=planned)
+
+
+def plant_structure(experiment: Experiment, fit: str) -> AnyStructure:
+    """Return the structure of a fit without a controller; raises as `make_structure`."""
     spec = experiment.spec.fits[fit]
     options = _given_options(spec.options)
     if spec.structure in BUILT_IN:
@@ -93,6 +112,8 @@ def structure_settings(experiment: Experiment, fit: str) -> dict[str, Any]:
     if file:
         text = (experiment.folder_of(file) / file).read_bytes()
         settings["file_sha256"] = hashlib.sha256(text).hexdigest()
+    if spec.loop is not None:
+        settings["loop"] = {**spec.loop.model_dump(exclude={"beside"}), **controller_identity(experiment, spec.loop)}
     return settings
 
 
@@ -101,9 +122,9 @@ def _given_options(options: StructureOptions) -> dict[str, Any]:
 
 
 def structure_or_none(experiment: Experiment, fit: str) -> AnyStructure | None:
-    """Return the structure of a fit; None when another check reports it."""
+    """Return the structure of a fit as it is planned; None when another check reports it."""
     try:
-        return make_structure(experiment, fit)
+        return make_structure(experiment, fit, planned=True)
     except GbidError:
         return None
 
@@ -132,7 +153,7 @@ def fit_channels(experiment: Experiment, fit: str) -> tuple[tuple[str, ...], tup
         When the structure is needed and cannot be made.
     """
     section = experiment.spec.fits[fit]
-    structure = make_structure(experiment, fit)
+    structure = make_structure(experiment, fit, planned=True)
     inputs = structure.inputs if section.inputs is None else section.inputs
     return inputs, section.outputs or structure.outputs
 

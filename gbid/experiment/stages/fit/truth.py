@@ -11,6 +11,7 @@ from gbid.rig import FilmStiffening, RotorBearingTruth, scatter_random, scattere
 from gbid.structure import (
     KEY_PARAMETERS,
     AnyStructure,
+    ClosedLoop,
     LinearModel,
     NonlinearStructure,
     PiezoPair,
@@ -45,7 +46,7 @@ def true_values(experiment: Experiment, recordings: Sequence[str], structure: An
     points = {tuple(sorted(q.conditions.items())) for q in planned}
     if points != {tuple(sorted(planned[0].conditions.items()))} or "speed_rpm" not in planned[0].conditions:
         return {}  # several operating points, or none, as along a course
-    if any(q.imported for q in planned) or not _is_built_in(structure):
+    if any(q.imported for q in planned) or not _is_built_in(_plant_of(structure)):
         return {}
     known = {**_as_drawn(experiment, planned), STIFFENING: _stiffening(experiment)}
     return {q.name: known[q.name] for q in structure.parameters if q.name in known}
@@ -82,6 +83,10 @@ def true_model(structure: AnyStructure, truth: dict[str, float], like: LinearMod
     ):
         return None
     return evaluate(structure, values, like.input_names, like.output_names)
+
+
+def _plant_of(structure: AnyStructure) -> AnyStructure:
+    return structure.structure if isinstance(structure, ClosedLoop) else structure
 
 
 def _is_built_in(structure: AnyStructure) -> bool:

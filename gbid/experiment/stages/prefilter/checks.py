@@ -5,6 +5,7 @@ from __future__ import annotations
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import NO_POINT
 from gbid.experiment.problems import Found
+from gbid.experiment.stages.loop.plan import answered
 
 
 def runout_maps_can_be_made(experiment: Experiment) -> Found:
@@ -27,7 +28,7 @@ def runout_maps_can_be_made(experiment: Experiment) -> Found:
         still.add(NO_POINT)
     reported: set[str] = set()
     for planned in experiment.recordings.values():
-        if planned.excited and planned.point not in still | reported:
+        if planned.excited and not answered(experiment, planned) and planned.point not in still | reported:
             reported.add(planned.point)
             yield (
                 ("prefilter",),

@@ -17,6 +17,7 @@ from gbid.experiment.run.inputs import load_checked
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Made, Outcome
 from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.loop.plan import answered, loop_stills
 from gbid.experiment.stages.prefilter.checks import runout_maps_can_be_made
 from gbid.experiment.stages.prefilter.schema import PrefilterSection
 from gbid.prefilter import (
@@ -35,6 +36,8 @@ from gbid.recording import Recording, save_recording, with_unbalance
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
+POSITION = "p"
+_HARMONICS_IN_LOOP = 10  # where their number is to be found from data
 
 
 def prefilter_tasks(job: Job) -> list[Task]:
@@ -56,7 +59,7 @@ def map_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     if section is None:
         return []
     tasks = []
-    for point, excited in _by_point(job.experiment).items():
+    for point, excited in _by_map(job.experiment).items():
         there = [planned for planned in excited if planned.name not in without]
         if there:
             keys = [prefiltered_key(job.experiment, planned) for planned in there]
@@ -70,7 +73,10 @@ def prefiltered_key(experiment: Experiment, planned: PlannedRecording) -> str:
     """Return the content key of a prefiltered recording."""
     section = experiment.spec.prefilter
     assert section is not None
-    sources = [recording_key(experiment, planned), *stationary_keys(experiment, planned.point)]
+    still = stationary_keys(experiment, planned.point)
+    if answered(experiment, planned) and section.method != "none":
+        still = [recording_key(experiment, q) for q in loop_stills(experiment, planned.point)]
+    sources = [recording_key(experiment, planned), *still]
     return content_key("prefilter", {"name": planned.name, **section.model_dump()}, sources)
 
 
@@ -97,11 +103,11 @@ def load_fit_input(job: Job, planned: PlannedRecording) -> Recording:
 
 def _write_prefiltered(job: Job, name: str, part: Path) -> None:
     planned = job.experiment.recordings[name]
-    runout_map = _stated_map(job, planned.point)  # first, because without it nothing can be done
+    runout_map, answers = _stated_maps(job, planned)  # first, because without them nothing can be done
     raw = load_made(job, planned)
     driving = driving_channels(job.experiment, planned.name)
     refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
-    filtered, report = _filtered(job, planned, raw, runout_map)
+    filtered, report = _filtered(job, planned, raw, runout_map, answers)
     save_recording(filtered, part, overwrite=True)
     add_report(part, report)
 
@@ -116,18 +122,26 @@ def filtered_input(job: Job, planned: PlannedRecording, raw: Recording) -> Recor
     """
     if job.experiment.spec.prefilter is None:
         return raw
-    return _filtered(job, planned, raw, _stated_map(job, planned.point))[0]
+    return _filtered(job, planned, raw, *_stated_maps(job, planned))[0]
 
 
-def _stated_map(job: Job, point: str) -> RunoutMap | None:
+def _stated_maps(job: Job, planned: PlannedRecording) -> tuple[RunoutMap | None, dict[str, RunoutMap]]:
+    """Return the run-out map of a recording, and where a controller answers to the run-out the maps of its answers."""
     try:
-        return _runout_map(job, point)
+        if not answered(job.experiment, planned):
+            return _runout_map(job, planned.point), {}
+        maps = _maps_in_loop(job, planned.point)
+        return maps.get(POSITION), {signal: own for signal, own in maps.items() if signal != POSITION}
     except DataError as error:
         raise type(error)(f"no run-out map: {error}") from None
 
 
 def _filtered(
-    job: Job, planned: PlannedRecording, raw: Recording, runout_map: RunoutMap | None
+    job: Job,
+    planned: PlannedRecording,
+    raw: Recording,
+    runout_map: RunoutMap | None,
+    answers: dict[str, RunoutMap],
 ) -> tuple[Recording, PrefilterReport]:
     section = job.experiment.spec.prefilter
     assert section is not None
@@ -140,6 +154,7 @@ def _filtered(
     filtered, report = prefilter(
         raw,
         runout_map,
+        answers=answers,
         spikes=section.spikes,
         median=section.median,
         remove_mean=section.remove_mean,
@@ -150,13 +165,13 @@ def _filtered(
 
 
 def _write_map(job: Job, item: str, part: Path) -> Made:
-    point = item.removeprefix("map ")
+    excited = _by_map(job.experiment)[item.removeprefix("map ")]
     reports = []
-    for planned in (q for q in job.experiment.points[point] if q.excited):
+    for planned in excited:
         path = job.path(FOLDER, planned.name)
         if path.is_file() and stored_key(path) == prefiltered_key(job.experiment, planned):
             reports.append(read_report(path))
-    runout_map = _runout_map(job, point)
+    runout_map, _ = _stated_maps(job, excited[0])
     save_prefilter(part, runout_map, reports, overwrite=True)
     return Made("; ".join(runout_map.notes) if runout_map else "")
 
@@ -175,13 +190,13 @@ def _runout_map(job: Job, point: str) -> RunoutMap | None:
             planned, rec, ["p", "phi"], kinds=("too_few_samples", "rub", "encoder", "sample_time", "speed")
         )
         if section.align_index and still:
-            rec = align_index(_identified(still[:1], section)[0], rec).apply(rec)
+            rec = align_index(identified_map(still[:1], section)[0], rec).apply(rec)
         still.append(rec)
-    runout_map, words = _identified(still, section)
+    runout_map, words = identified_map(still, section)
     return replace(runout_map, notes=(*runout_map.notes, *words, *leftover_words(runout_map, still)))
 
 
-def _identified(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
+def identified_map(still: list[Recording], section: PrefilterSection) -> tuple[RunoutMap, tuple[str, ...]]:
     """Return the map by the method of the section, and a note on what was chosen by held-out data."""
     if section.method == "bins" or (section.method == "harmonics" and section.harmonics != "auto"):
         number = 1 if section.harmonics == "auto" else section.harmonics  # not used by bins
@@ -195,10 +210,30 @@ def _identified(still: list[Recording], section: PrefilterSection) -> tuple[Runo
     return compared.runout_map, (f"{key} auto: {chosen.method}{size}; rms residual on test data {left} nm",)
 
 
-def _by_point(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
-    """Return the excited recordings by operating point."""
-    excited = {point: [q for q in there if q.excited] for point, there in experiment.points.items()}
-    return {point: there for point, there in excited.items() if there}
+@lru_cache(maxsize=64)
+def _maps_in_loop(job: Job, point: str) -> dict[str, RunoutMap]:
+    """Return the maps of p, r and u, which follow the shaft because the controller answers to the run-out."""
+    section = job.experiment.spec.prefilter
+    assert section is not None
+    if section.method == "none":
+        return {}
+    still = [load_made(job, planned) for planned in loop_stills(job.experiment, point)]
+    number = _HARMONICS_IN_LOOP if section.harmonics == "auto" else section.harmonics
+    method = "bins" if section.method == "bins" else "harmonics"
+    return {
+        signal: identify_runout(still, method=method, harmonics=number, bins=section.bins, signal=signal, in_loop=True)
+        for signal in (POSITION, "r", "u")
+    }
+
+
+def _by_map(experiment: Experiment) -> dict[str, list[PlannedRecording]]:
+    """Return the excited recordings by their run-out map: operating point, and whether the loop answers to run-out."""
+    found: dict[str, list[PlannedRecording]] = {}
+    for point, there in experiment.points.items():
+        for planned in (q for q in there if q.excited):
+            label = f"{point}_loop" if answered(experiment, planned) else point
+            found.setdefault(label, []).append(planned)
+    return found
 
 
 def _stationary(experiment: Experiment, point: str) -> list[PlannedRecording]:

@@ -13,7 +13,7 @@ from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import faults_of, machine_at, rig_experiment
 from gbid.experiment.stages.rig.schema import RigSection
 from gbid.operating_point import point_label
-from gbid.rig import rig_effect, rig_effects
+from gbid.rig import Machine, rig_effect, rig_effects
 from gbid.rig.excitation.prbs import whole_samples
 
 
@@ -59,12 +59,34 @@ def rig_runs(experiment: Experiment) -> Found:
     for planned in experiment.recordings.values():
         if inside and planned.imported is None:
             try:
-                machine_at(experiment, planned, model).rotor_bearing.check_stable()
+                machine = machine_at(experiment, planned, model)
+                if not planned.in_loop:
+                    _check_held(experiment, machine)
                 rig_experiment(experiment, planned)
             except GbidError as error:
                 if str(error) not in reported:
                     yield ("rig",), str(error)
                 reported.add(str(error))
+
+
+def _check_held(experiment: Experiment, machine: Machine) -> None:
+    """Refuse a recording without controller of an unstable rotor.
+
+    Raises
+    ------
+    UsageError
+        With what to do.
+    """
+    rig = experiment.spec.rig
+    assert rig is not None
+    try:
+        machine.rotor_bearing.check_stable()
+    except UsageError as error:
+        if rig.loop is None:
+            raise UsageError(f"{error}; record it under a controller: loop:") from None
+        raise UsageError(
+            f"{error}; write recordings: 0 in the sections prbs and stationary, so that all are made in the loop"
+        ) from None
 
 
 def faults_name_recordings(experiment: Experiment) -> Found:

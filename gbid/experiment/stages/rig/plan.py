@@ -108,6 +108,9 @@ def rig_experiment(experiment: Experiment, planned: PlannedRecording) -> RigExpe
     match planned.run:
         case ("prbs",):
             return Prbs(rig.duration_s, rig.prbs.amplitude_m, rig.prbs.hold_s)
+        case ("loop",) if rig.loop is not None:
+            held, usual = rig.loop, rig.prbs
+            return Prbs(rig.duration_s, held.amplitude_m or usual.amplitude_m, held.hold_s or usual.hold_s)
         case ("played",) if rig.played is not None:
             return _played(experiment, rig.played.file)
         case ("course", int(i)) if (course := course_of(experiment, planned)) is not None:

@@ -22,6 +22,7 @@ from gbid.experiment.fields import (
     TwoRows,
     given,
 )
+from gbid.experiment.stages.loop.schema import RigLoopSection
 from gbid.rig import (
     FilmStiffening,
     FlexibleMode,
@@ -275,7 +276,8 @@ class FaultSection(Section):
 class RigSection(Section):
     """Recordings of the virtual rig.
 
-    `controller`: what closes the loop of impacts: ``python``, the sampled matrices in the program of the rig, or
+    `loop`: recordings under a controller. A rotor that is unstable without one has no other recordings.
+    `controller`: what closes the loop: ``python``, the sampled matrices in the program of the rig, or
     ``compiled``, the control chain in C as it is exported, with the options of the section target (its ramps are
     shortened to the settling time).
     """
@@ -293,6 +295,7 @@ class RigSection(Section):
     moving_mass_kg: Positive = Machine.moving_mass
     prbs: PrbsSection = PrbsSection()
     played: Annotated[PlayedSection | None, BeforeValidator(given)] = None
+    loop: Annotated[RigLoopSection | None, BeforeValidator(given)] = None
     stationary: StationarySection = StationarySection()
     staircase: Annotated[StaircaseSection | None, BeforeValidator(given)] = None
     stack_staircase: Annotated[StackStaircaseSection | None, BeforeValidator(given)] = None

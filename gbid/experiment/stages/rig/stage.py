@@ -7,6 +7,7 @@ from pathlib import Path
 from gbid.experiment.recordings import recording_task
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.stage import Stage
+from gbid.experiment.stages.loop.running import running
 from gbid.experiment.stages.rig.checks import RIG_CHECKS
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import machine_at, record_options, rig_experiment
@@ -30,7 +31,9 @@ def _write_rig_recording(job: Job, name: str, part: Path) -> None:
     model = rig_model(experiment)
     machine, run = machine_at(experiment, planned, model), rig_experiment(experiment, planned)
     surfaces = model.key_parameters if isinstance(run, ScheduledRun) else None
-    made = record(machine, run, surfaces=surfaces, **record_options(experiment, planned))
+    options = record_options(experiment, planned)
+    controller = running(experiment, planned, machine, options) if planned.in_loop else None
+    made = record(machine, run, surfaces=surfaces, controller=controller, **options)
     save_recording(made, part, overwrite=True)
 
 

@@ -1,4 +1,4 @@
-"""Goals of a design from its controller section, with the disturbance that recordings of the experiment show."""
+"""Goals of a design from the entries of its controller section."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import scipy
 
-from gbid.control import DisturbanceSpectrum, Goal, HalfSine, PeakSensitivity, PiezoTravel, recorded_disturbance
+from gbid.control import DisturbanceSpectrum, Goal, HalfSine, PeakSensitivity, PiezoTravel
 from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
 from gbid.experiment.plan import PlannedRecording
-from gbid.experiment.recordings import load_made
-from gbid.experiment.run.job import Job
 from gbid.experiment.stages.tune.goal_entries import GOALS, GoalSection, HitSection
 from gbid.experiment.stages.tune.schema import ControllerSection
 from gbid.structure import LinearModel
@@ -47,23 +45,6 @@ def made_goal(entry: GoalSection, disturbance: Disturbance) -> Goal:
             value = _transfer_function(value, f"{entry.goal}: {name}")
         arguments[name] = value
     return GOALS[entry.goal](**arguments)
-
-
-def design_goals(job: Job, section: ControllerSection) -> list[Goal] | None:
-    """Return the goals of a design; None when the section has none and uses the short form.
-
-    Raises
-    ------
-    DataError
-        When a recording of a disturbance is missing or was made from other settings.
-    """
-    if section.goals is None:
-        return None
-
-    def shown(patterns: tuple[str, ...]) -> DisturbanceSpectrum:
-        return recorded_disturbance([load_made(job, planned) for planned in job.experiment.matching(patterns)])
-
-    return [made_goal(entry, shown) for entry in section.goals]
 
 
 def goal_recordings(experiment: Experiment, section: ControllerSection) -> list[PlannedRecording]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from gbid.control.controllers.built_in import built_in_structures
 from gbid.control.controllers.scheduled import with_schedule
 from gbid.errors import UsageError
 from gbid.experiment.experiment import Experiment
+from gbid.experiment.keys import content_key
 from gbid.experiment.problems import nearest
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.tune.design_goals import impact_of_goals
@@ -197,3 +199,35 @@ def published_design(experiment: Experiment, model: LPVModel) -> ProportionalDes
 def published_structure(came: ProportionalDesign) -> Structure:
     """Return the structure of a published controller."""
     return controller_structure("P", lowpass_hz=came.lowpass_hz, order=came.lowpass_order)
+
+
+def design_key(
+    experiment: Experiment,
+    section: ControllerSection,
+    published: ProportionalDesign | None,
+    model: LPVModel | None = None,
+    sources: Sequence[str] = (),
+) -> str:
+    """Return the content key of a design.
+
+    Parameters
+    ----------
+    experiment : Experiment
+        The experiment.
+    section : ControllerSection
+        Section of the design.
+    published : ProportionalDesign, optional
+        Published controller, which is assessed beside it.
+    model : LPVModel, optional
+        Named model; None for surfaces, whose keys are among the sources.
+    sources : sequence of str
+        Content keys of surfaces and recordings.
+    """
+    settings = {
+        **section.model_dump(),
+        "text": structure_text(experiment, section).decode(errors="replace"),
+        "sampled_at": sample_time(experiment, section),
+        "published": published,
+        "model": model,
+    }
+    return content_key("tuned design", settings, sources)

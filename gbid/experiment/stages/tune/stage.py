@@ -29,7 +29,7 @@ from gbid.control.assessment.tuned_design import (
 )
 from gbid.errors import GbidError
 from gbid.experiment.experiment import Experiment
-from gbid.experiment.keys import content_key, stored_key
+from gbid.experiment.keys import stored_key
 from gbid.experiment.recordings import recording_key
 from gbid.experiment.run.inputs import InputError
 from gbid.experiment.run.job import Job, Task
@@ -39,21 +39,22 @@ from gbid.experiment.stages.impact.plan import TUNED
 from gbid.experiment.stages.lpv.stage import FOLDER as LPV_FOLDER
 from gbid.experiment.stages.lpv.stage import read_surfaces
 from gbid.experiment.stages.tune.checks import designs_can_be_tuned
-from gbid.experiment.stages.tune.design_goals import design_goals, goal_recordings, peak_cap, without_cap
+from gbid.experiment.stages.tune.design_goals import goal_recordings, peak_cap, without_cap
 from gbid.experiment.stages.tune.plan import (
     assess_options,
     controller_section,
+    design_key,
     design_structure,
     impact,
     named_model,
     published_design,
     published_structure,
     sample_time,
-    structure_text,
     surfaces_item,
     tune_options,
     with_actuators,
 )
+from gbid.experiment.stages.tune.recorded_goals import design_goals
 from gbid.experiment.stages.tune.schema import ControllerSection, RobustSection
 from gbid.lpv import LPVFit, LPVModel, ProportionalDesign, load_lpv_fit
 
@@ -68,7 +69,9 @@ def design_tasks(job: Job) -> Work:
     for name, section in job.experiment.spec.controller.items():
         path = job.path(TUNED, name)
         try:
-            work.append(Task("tune", name, path, _design_key(job, section, surfaces), _tune, read=read_design_summary))
+            work.append(
+                Task("tune", name, path, _design_key(job, section, surfaces), write_design, read=read_design_summary)
+            )
         except GbidError as error:
             work.append(Outcome("tune", name, path, "failed", str(error), cause="input"))
     return work
@@ -146,15 +149,8 @@ def _key_of(
     model: LPVModel | None = None,
     sources: Sequence[str] = (),
 ) -> str:
-    settings = {
-        **section.model_dump(),
-        "text": structure_text(experiment, section).decode(errors="replace"),
-        "sampled_at": sample_time(experiment, section),
-        "published": published,
-        "model": model,
-    }
     disturbing = [recording_key(experiment, planned) for planned in goal_recordings(experiment, section)]
-    return content_key("tuned design", settings, [*sources, *disturbing])
+    return design_key(experiment, section, published, model, [*sources, *disturbing])
 
 
 def design_plant(job: Job, section: ControllerSection) -> tuple[LPVModel, Uncertainty | None]:
@@ -177,7 +173,8 @@ def plant_of_surfaces(section: ControllerSection, fit: LPVFit) -> tuple[LPVModel
     return model, Uncertainty(fit.covariance, draws=drawn.draws, seed=drawn.seed)
 
 
-def _tune(job: Job, name: str, part: Path) -> Made:
+def write_design(job: Job, name: str, part: Path) -> Made:
+    """Tune a design and write it."""
     design = designed(job, name, *design_plant(job, controller_section(job.experiment, name)))
     return save_design(design, part)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gbid.report.html.page import PageSection, Words
 from gbid.report.reader import Results
-from gbid.report.tables.cycle_tables import cycle_documents, cycle_summary
+from gbid.report.tables.loop_tables import cycle_documents, cycle_summary
 
 
 def cycle_section(results: Results) -> PageSection | None:
