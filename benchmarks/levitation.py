@@ -28,7 +28,7 @@ _WAYS = {"unknown": ("structure", "prediction"), "known": ("loop", "simulation")
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study."""
     parser = argparse.ArgumentParser(prog="benchmarks.levitation", description="Identify a levitation in its loop.")
-    parser.add_argument("--recordings", type=int, default=20, help="number of recordings")
+    parser.add_argument("--recordings", type=int, default=60, help="number of recordings")
     parser.add_argument("--output", type=Path, help="write the numbers to this JSON file (replaced if there)")
     options = parser.parse_args(arguments)
     run = {"gbid": gbid.__version__, "recordings": options.recordings, "rows": study(options.recordings)}

@@ -39,6 +39,8 @@ def next_step(experiment: Experiment, verb: str) -> str:
     path = experiment.file.path
     if verb == "check":
         return f"gbid run {path}"
+    if verb == "run" and experiment.spec.cycle is not None and not experiment.spec.cycle.in_run:
+        return f"gbid cycle {path}"
     verbs = list(_ORDER)
     for later in verbs[verbs.index(_LIKE.get(verb, verb)) + 1 :]:
         if _ORDER[later](experiment.spec):

@@ -58,7 +58,8 @@ def run(
 
         loaded, how = load_experiment(experiment, results), Manner("run", as_json, quiet, verbose, dry_run)
         if dry_run:
-            print_plan(loaded, registry.STAGES, as_json, overwrite=overwrite, retry=retry)
+            stages = [stage for stage in registry.STAGES if stage.in_run(loaded)]
+            print_plan(loaded, stages, as_json, overwrite=overwrite, retry=retry)
             return
         print_notes(changed_files(loaded))
         with (
@@ -69,7 +70,7 @@ def run(
             table, collected = collect(job) if loaded.spec.fits else (None, [])
             outcomes += collected
             for stage in registry.STAGES:
-                outcomes += () if stage.early else run_stage(job, stage)
+                outcomes += () if stage.early or not stage.in_run(loaded) else run_stage(job, stage)
             drawn = draw_figures(job)
             written = write_report(job)
         outcomes += [*drawn, written]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from gbid.experiment.experiment import Check
+from gbid.experiment.experiment import Check, Experiment
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.outcome import Outcome
 from gbid.experiment.run.perform import run_tasks
@@ -13,6 +13,11 @@ from gbid.experiment.run.view import View
 
 Work = Sequence[Task | Outcome]
 """Tasks to run, and outcomes of items for which no task is possible."""
+
+
+def always(_: Experiment) -> bool:
+    """Return true: `gbid run` runs a stage."""
+    return True
 
 
 @dataclass(frozen=True)
@@ -33,6 +38,8 @@ class Stage:
         Functions that return work on the results of the stage, such as tables; run one after the other.
     early : bool
         Whether its tasks are known before any other stage has run. Campaigns consist of these stages.
+    in_run : callable
+        Whether `gbid run` runs the stage for an experiment; its own verb does so in any case.
     view : View, optional
         JSON document and tables of its outcomes for verbs. Those of gbid's own stages are in `gbid.cli.views`. Without
         a view, the outcomes are shown as a list.
@@ -44,6 +51,7 @@ class Stage:
     tasks: Callable[[Job], Work]
     then: tuple[Callable[[Job, Sequence[Outcome]], Work], ...] = ()
     early: bool = False
+    in_run: Callable[[Experiment], bool] = always
     view: View | None = None
 
 

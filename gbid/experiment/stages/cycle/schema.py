@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import BeforeValidator, Field, Strict
 
-from gbid.experiment.fields import Count, Name, Positive, Section, given
+from gbid.experiment.fields import Count, Name, Positive, Section, Switch, given
 from gbid.experiment.stages.impact.schema import HammerTrain, ImpactPoint
 
 MOST_ROUNDS = 5
@@ -32,13 +32,15 @@ class CycleSection(Section):
 
     `design`: name of the design; it may be left out when there is one. `rounds`: number of rounds after round 0.
     `operating_points`: those of the new recordings; by default those of the rig. `recordings`: number in each round at
-    each point. `duration_s`, `amplitude_m`, `hold_s`: of the new recordings; by default those of the section rig.
+    each point. `in_run`: whether `gbid run` runs the cycle as well; `gbid cycle` runs it in any case. `duration_s`,
+    `amplitude_m`, `hold_s`: of the new recordings; by default those of the section rig.
     """
 
     design: Name | None = None
     rounds: Annotated[int, Strict(), Field(ge=1, le=MOST_ROUNDS)] = 2
     operating_points: Points | None = None
     recordings: Count = 1
+    in_run: Switch = True
     duration_s: Positive | None = None
     amplitude_m: Positive | None = None
     hold_s: Positive | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import GbidError
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.inputs import cause_of
 from gbid.experiment.run.job import Job, Task
@@ -82,6 +83,10 @@ def _table_tasks(job: Job, made: Sequence[Outcome]) -> list[Task]:
     return [table_task(job)]
 
 
+def _in_run(experiment: Experiment) -> bool:
+    return experiment.spec.cycle is None or experiment.spec.cycle.in_run
+
+
 def table_task(job: Job) -> Task:
     """Return the task of the table of all rounds."""
     return Task("cycle table", TABLE, job.path(FOLDER, TABLE, ".csv"), _table_key(job), _write_table)
@@ -142,5 +147,6 @@ CYCLE = Stage(
         *(partial(_next, step, number) for number in range(1, MOST_ROUNDS + 1) for step in _STEPS),
         _table_tasks,
     ),
+    in_run=_in_run,
 )
 """``cycle/round<n>`` with recordings, fits, surfaces, controller and impacts of each round, and ``cycle/cycle.csv``."""

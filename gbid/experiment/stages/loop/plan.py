@@ -160,7 +160,7 @@ def closed_loop_settings(experiment: Experiment) -> dict[str, Any]:
 
 def stationary_at(experiment: Experiment, point: str) -> list[PlannedRecording]:
     """Return the stationary recordings of the rig without controller at an operating point."""
-    return [planned for planned in experiment.points[point] if planned.stationary and planned.imported is None]
+    return [q for q in experiment.points.get(point, ()) if q.stationary and q.imported is None]
 
 
 def answered(experiment: Experiment, planned: PlannedRecording) -> bool:
