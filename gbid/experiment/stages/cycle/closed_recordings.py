@@ -25,7 +25,6 @@ from gbid.experiment.stages.fit.stage import fit_settings, fitted, read_fit_summ
 from gbid.experiment.stages.fit.structures import fit_channels
 from gbid.experiment.stages.impact.loop_program import loop_of, loop_settings
 from gbid.experiment.stages.impact.plan import hammer_of, loop_controller
-from gbid.experiment.stages.loop.running import subtracting
 from gbid.experiment.stages.prefilter.stage import filtered_input, stationary_keys
 from gbid.experiment.stages.rig.model import rig_model
 from gbid.experiment.stages.rig.plan import as_settings, machine_at, record_options
@@ -82,8 +81,7 @@ def recording_key(job: Job, one: RoundRecording) -> str:
         "machine": asdict(machine_at(experiment, one.planned, rig_model(experiment))),
         **loop_settings(experiment),
     }
-    still = [] if one.axis else stationary_keys(experiment, one.planned.point)
-    return content_key("cycle recording", settings, [stored_key(_running(job, one)), *still])
+    return content_key("cycle recording", settings, [stored_key(_running(job, one))])
 
 
 def fit_key(job: Job, one: RoundRecording) -> str:
@@ -115,8 +113,6 @@ def _write_recording(job: Job, name: str, part: Path) -> None:
     machine = machine_at(experiment, one.planned, rig_model(experiment))
     options = record_options(experiment, one.planned)
     running = loop_of(experiment, loop_controller(experiment, _running(job, one), one.point), machine, options)
-    if not one.axis:  # the fit takes these, after the same map
-        running = subtracting(experiment, one.planned, running)
     save_recording(record(machine, _experiment(job, one), **options, controller=running), part, overwrite=True)
 
 

@@ -89,7 +89,9 @@ def running(
 ) -> SampledController | ProgramController:
     """Return the controller of the rig for one recording.
 
-    Where it does not subtract the run-out, it subtracts the zero of the probes.
+    The run-out map that it subtracts is that of the stationary recordings, with which the prefilter works. Two maps
+    would differ by the noise of their recordings, to which the loop answers. Where it does not subtract the run-out, it
+    subtracts the zero of the probes.
 
     Raises
     ------
@@ -100,26 +102,15 @@ def running(
     controller = loop_controller_of(experiment, planned)
     check_loop_stable(experiment, planned, controller.sampled)
     if section.runout == "online":
-        return subtracting(experiment, planned, loop_of(experiment, controller, machine, options))
+        made = loop_of(experiment, controller, machine, options)
+        if isinstance(made, ProgramController) or not planned.conditions["speed_rpm"]:
+            return made  # a program has a map of its own, and at rest the position does not follow the angle
+        runout_map = _map_at_rest(experiment, planned.point)
+        nodes: FloatArray = np.asarray(np.arange(_BINS) * (2 * np.pi / _BINS), np.float64)
+        return replace(made, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
     A, B, C, D = (np.array(getattr(controller.sampled, letter)) for letter in "ABCD")
     name = controller.sampled.name
     return SampledController(A, B, C, D, rig.sample_time_s, offset=machine.sensors.offset_p, name=name)
-
-
-def subtracting(
-    experiment: Experiment, planned: PlannedRecording, controller: SampledController | ProgramController
-) -> SampledController | ProgramController:
-    """Return a controller that subtracts the run-out map of the stationary recordings, with which the prefilter works.
-
-    Two maps would differ by the noise of their recordings, to which the loop answers. A program has a map of its own.
-    At rest the position does not follow the angle, and the zero of the controller stays.
-    """
-    still = stationary_at(experiment, planned.point)
-    if not isinstance(controller, SampledController) or not planned.conditions["speed_rpm"] or not still:
-        return controller
-    runout_map = _map_at_rest(experiment, planned.point)
-    nodes: FloatArray = np.asarray(np.arange(_BINS) * (2 * np.pi / _BINS), np.float64)
-    return replace(controller, runout=runout_map.evaluate(nodes) - runout_map.mean, offset=runout_map.mean)
 
 
 @lru_cache(maxsize=16)
