@@ -152,6 +152,7 @@ def test_json_of_every_verb_is_one_document(spring, tmp_path, capsys):
         "crossval_summary",
         "excite",
         "cycle",
+        "loops",
         "target",
         "nominal",
         "lpv",
