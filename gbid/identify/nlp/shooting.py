@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Literal
 
 import numpy as np
@@ -126,8 +126,7 @@ class Shooting:
         point = theta.tobytes()
         if point in self._met:
             return self._met[point]
-        met: dict[tuple[int, bytes], Any] = {}
-        result = []
+        met, result = dict[tuple[int, bytes], Any](), []
         for part in self.parts:
             own = part.own(theta)
             key = (id(part.predictor), own.tobytes())
@@ -185,10 +184,9 @@ class Shooting:
         """Return the values at a point; those of the last two points are stored."""
         key = unknowns.tobytes()
         if key not in self._last:
-            iterate = self._evaluate(unknowns)
-            for oldest in list(self._last)[:-1]:
-                del self._last[oldest]
-            self._last[key] = iterate
+            self._last[key] = self._evaluate(unknowns)
+            if len(self._last) > 2:
+                self._last.pop(next(iter(self._last)))
         return self._last[key]
 
     @cached_property
@@ -207,18 +205,16 @@ class Shooting:
 
     def rate(self, unknowns: FloatArray) -> float:
         """Return the largest growth of a small deviation in a sample, over all parts."""
-        values = self.values(self.unpack(unknowns)[0])
-        return self._growth(values, lambda: self.at(unknowns).sweeps)
+        return self.growth(self.values(self.unpack(unknowns)[0]), lambda: self.at(unknowns).sweeps)
 
-    def growth(self, values: list[Any], sweeps: Sequence[Sweep]) -> float:
-        """Return the same from a pass that is made already."""
-        return self._growth(values, lambda: sweeps)
+    def growth(self, values: list[Any], sweeps: Callable[[], Sequence[Sweep]]) -> float:
+        """Return the same from a pass, which not all kernels need."""
 
-    def _growth(self, values: list[Any], sweeps: Callable[[], Sequence[Sweep]]) -> float:
-        def of(i: int, part: RecordGroup, v: Any) -> float:
-            return part.kernel.growth(v, part.blocks, lambda: sweeps()[i] if sweeps() else None, self.state_scale)
+        def own(i: int) -> Sweep | None:
+            return sweeps()[i] if sweeps() else None
 
-        return max(of(i, part, v) for i, (part, v) in enumerate(zip(self.parts, values, strict=True)))
+        each = enumerate(zip(self.parts, values, strict=True))
+        return max(p.kernel.growth(v, p.blocks, partial(own, i), self.state_scale) for i, (p, v) in each)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -239,8 +235,7 @@ class Shooting:
     @property
     def exact_cost(self) -> float:
         """Largest cost at which all errors are rounding, as for simulated data without noise."""
-        outputs = len(self.output_weights) if self.criterion == "trace" else 1
-        return self.cost(np.diag(self._floors) * _WELL_BELOW / outputs)
+        return self.cost(np.diag(self._floors) * _WELL_BELOW * self.n_samples / self.likelihood_size)
 
     @property
     def _power(self) -> float:
@@ -291,7 +286,7 @@ class Shooting:
                 if not np.isfinite(products).all():
                     return self._invalid()
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
-            if self._watched and self.growth(values, sweeps) > 1:
+            if self._watched and self.growth(values, lambda: sweeps) > 1:
                 return self._invalid()
             return self._assembled(theta, starts, sweeps, products, factor)
 
