@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import BoolArray, FloatArray
 from gbid.errors import DataError
 from gbid.recording import Recording
 
@@ -168,7 +168,7 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
                 f"recording {recording.name!r} has {recording.n_samples} samples; this fit needs at least {minimum}"
             )
         for label, column in zip(y_names, y.T, strict=True):
-            if np.ptp(column) == 0:
+            if not moves(column):
                 raise DataError(
                     f"recording {recording.name!r}: channel {label!r} is {column[0]:g} throughout; the output is "
                     "constant: is the sensor connected"
@@ -176,6 +176,11 @@ def gather(recordings: Sequence[Recording], inputs: Sequence[str], outputs: Sequ
         records.append(Record(recording.name, np.ascontiguousarray(u), np.ascontiguousarray(y), recording.conditions))
     assert names is not None
     return FitData(tuple(records), first.sample_time, tuple(names[0]), tuple(names[1]), tuple(y_units))
+
+
+def moves(values: FloatArray) -> BoolArray:
+    """Return whether each column of samples, or a single one, is not constant."""
+    return np.asarray((values != values[:1]).any(axis=0))
 
 
 def gather_own(recordings: Sequence[Recording], channels: Sequence[Channels], minimum: int) -> FitData:

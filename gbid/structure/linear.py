@@ -234,9 +234,10 @@ def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     for letter, shape in expected.items():
         if sx[letter].shape != shape:
             raise UsageError(f"{where}: {letter} has shape {sx[letter].shape}, expected {shape}")
-        foreign = [symbol.name() for symbol in ca.Function("m", [p], [sx[letter]], {"allow_free": True}).free_sx()]
-        if foreign:
-            raise UsageError(f"{where}: {letter} contains symbols that are not parameters: {', '.join(foreign)}")
+    if foreign := ca.Function("m", [p], list(sx.values()), {"allow_free": True}).free_sx():
+        letter = next(each for each in expected if ca.depends_on(sx[each], ca.vertcat(*foreign)))
+        names = ", ".join(symbol.name() for symbol in foreign if ca.depends_on(sx[letter], symbol))
+        raise UsageError(f"{where}: {letter} contains symbols that are not parameters: {names}")
     return p, Matrices(**sx, feedback=feedback)
 
 

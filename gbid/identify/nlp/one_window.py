@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.blocks import cut
+from gbid.identify.kernel.blocks import Blocks, cut
 from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
+
+_LONG = 128  # samples of a block; a record of many shorter ones takes longer to link
 
 
 def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
@@ -27,7 +29,7 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     (n_unknowns of the joined problem,) integer array
         Where its unknowns are among those of the problem given.
     """
-    parts = tuple(replace(part, blocks=cut(part.blocks.segments, part.predictor, None)) for part in problem.parts)
+    parts = tuple(replace(part, blocks=_joined(part)) for part in problem.parts)
     firsts = np.concatenate(
         [
             first + part.blocks.segment_first
@@ -42,6 +44,13 @@ def in_one_window(problem: Shooting) -> tuple[Shooting, IntArray]:
     extra = problem.extra and problem.extra.moved_to(segment_of[problem.extra.windows])
     joined = replace(problem, parts=parts, links=links, extra=extra, _last={}, _met={})
     return joined, np.concatenate([np.arange(n_t), starts])
+
+
+def _joined(part: RecordGroup) -> Blocks:
+    """Return the segments of a part as one window each, in the blocks that are there where these are not short."""
+    if part.blocks.length >= _LONG:
+        return part.blocks.by_whole_segments()
+    return cut(part.blocks.segments, part.predictor, None)
 
 
 def in_windows(problem: Shooting, joined: Shooting, unknowns: FloatArray) -> FloatArray:

@@ -117,9 +117,8 @@ class Shooting:
 
     def unpack(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return parameters (n_p,) and window starts (n_windows, n) in physical units."""
-        theta = unknowns[: self.n_theta] * self.theta_scale
         starts = unknowns[self.n_theta :].reshape(self.n_windows, self.n_states) * self.state_scale
-        return theta, starts
+        return unknowns[: self.n_theta] * self.theta_scale, starts
 
     def values(self, theta: FloatArray) -> list[Any]:
         """Return the predictors of all parts; equal ones are computed once, and the last ones are stored."""
@@ -142,22 +141,22 @@ class Shooting:
         if not all(part.within_bounds(theta) for part in self.parts):
             return None
         values = self.values(theta)
-        watched = self._watched and isinstance(values[0], PredictorValues)  # others grow only in a pass
-        return None if watched and spectral_radius(values) > 1 else values
+        return None if self._watched and self._linear(values) and spectral_radius(values) > 1 else values
+
+    def _linear(self, values: list[Any]) -> bool:  # others grow only in a pass
+        return isinstance(values[0], PredictorValues)
 
     def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """Return the sums of one pass over every part, for window starts (n_windows, n)."""
-        return [
-            tied(part.kernel.sweep(v, part.blocks, starts[a:b], weight), part.tie)
-            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
-        ]
+        each = self._each(values, starts)
+        return [tied(part.kernel.sweep(v, part.blocks, own, weight), part.tie) for v, part, own in each]
 
     def errors(self, values: list[Any], starts: FloatArray) -> list[FloatArray]:
         """Return the prediction errors of every part in blocks; zero for samples that are not in the cost."""
-        return [
-            part.kernel.predict(v, part.blocks, starts[a:b]).errors
-            for v, part, a, b in zip(values, self.parts, self.first_window[:-1], self.first_window[1:], strict=True)
-        ]
+        return [part.kernel.predict(v, part.blocks, own).errors for v, part, own in self._each(values, starts)]
+
+    def _each(self, values: list[Any], starts: FloatArray) -> Iterator[tuple[Any, RecordGroup, FloatArray]]:
+        return zip(values, self.parts, np.split(starts, self.first_window[1:-1]), strict=True)
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
@@ -248,7 +247,6 @@ class Shooting:
 
     @property
     def _floors(self) -> FloatArray:
-        """The same of each output, in its own units."""
         return self._floor / self.output_weights
 
     @property
@@ -267,8 +265,8 @@ class Shooting:
     @cached_property
     def placed(self) -> PlacedTerms | None:
         """Extra terms among the unknowns of this problem."""
-        sizes = self.theta_scale, self.state_scale, self.likelihood_size
-        return None if self.extra is None else PlacedTerms.among(self.extra, *sizes)
+        scales = self.theta_scale, self.state_scale, self.likelihood_size
+        return None if self.extra is None else PlacedTerms.among(self.extra, *scales)
 
     def _evaluate(self, unknowns: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
@@ -286,7 +284,7 @@ class Shooting:
                 if not np.isfinite(products).all():
                     return self._invalid()
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
-            if self._watched and self.growth(values, lambda: sweeps) > 1:
+            if self._watched and not self._linear(values) and self.growth(values, lambda: sweeps) > 1:
                 return self._invalid()
             return self._assembled(theta, starts, sweeps, products, factor)
 

@@ -154,7 +154,8 @@ def _at_rest(
     ipopt: IpoptOptions,
 ) -> Solution:
     """Return a solution with its first-order optimality; one that has not come to rest is solved on first."""
-    rest = distance_from_rest(problem, solution.unknowns, box)
+    known = np.isfinite(solution.rest)  # the watch has looked already
+    rest = solution.rest if known else distance_from_rest(problem, solution.unknowns, box)
     if not solution.status.success or rest <= _REST or any(problem.parts_at_edge(problem.unpack(solution.unknowns)[0])):
         return replace(solution, rest=rest)
     if solution.status is FitStatus.CONVERGED_BY_PAPER_RULE:
@@ -199,7 +200,8 @@ def _run(
     if not np.isfinite(unknowns).all():
         unknowns, status = np.asarray(start, float), FitStatus.OVERFLOW
     iterations = int(solver.stats()["iter_count"])
-    return Solution(unknowns, status, iterations, tuple(watch.history), overflows=trouble.points)
+    rest = watch.rest[1] if np.array_equal(watch.rest[0], unknowns) else np.inf
+    return Solution(unknowns, status, iterations, tuple(watch.history), rest, trouble.points)
 
 
 def _ipopt(

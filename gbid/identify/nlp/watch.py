@@ -99,6 +99,7 @@ class Watch(ca.Callback):
         self.creeping = False
         self.unstable = 0
         self.stuck = 0
+        self.rest = np.zeros(0), np.inf
         self._previous: FloatArray | None = None
         self._sigma = np.inf
         self.construct("watch", {})
@@ -161,7 +162,8 @@ class Watch(ca.Callback):
         """
         if any(self._problem.parts_at_edge(self._problem.unpack(x)[0])):
             return True
-        return distance_from_rest(self._problem, x, self._box) < _STEP_AHEAD
+        self.rest = x, distance_from_rest(self._problem, x, self._box)
+        return self.rest[1] < _STEP_AHEAD
 
     def _radius(self, x: FloatArray) -> float:
         return self._problem.rate(x)

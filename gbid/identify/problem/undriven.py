@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.errors import DataError
-from gbid.identify.data import FitData
+from gbid.identify.data import FitData, moves
 from gbid.notes.fit_notes import FitNote
 from gbid.structure import AnyStructure, LinearStructure, NonlinearStructure, Parameter, ScheduledStructure, anatomy
 
@@ -69,7 +69,7 @@ def check_inputs_suffice(
     DataError
         When a free parameter is not determined; names it and the inputs.
     """
-    still = np.all([np.ptp(record.inputs, axis=0) == 0 for record in data.records], axis=0)
+    still = ~np.any([moves(record.inputs) for record in data.records], axis=0)
     if not (still.any() or no_inputs):
         return
     whole = anatomy(structure)
@@ -102,5 +102,5 @@ def decay_notes(data: FitData) -> tuple[str, ...]:
         )
         for record in data.records
         for name, column in zip(data.input_names, record.inputs.T, strict=True)
-        if np.ptp(column) == 0
+        if not moves(column)
     )

@@ -12,7 +12,7 @@ import scipy
 
 from gbid.arrays import FloatArray
 from gbid.errors import DataError
-from gbid.identify.data import Record
+from gbid.identify.data import Record, moves
 from gbid.identify.start.spectra import as_real, spectrum_of
 from gbid.structure import RotorBearing
 from gbid.structure.rotor_bearing import AXES, PAIRS
@@ -72,7 +72,7 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
     size = np.linalg.norm(base, axis=0)
     basis, triangle = np.linalg.qr(base / size)
     rest = target - basis @ (basis.T @ target)
-    if not any(np.ptp(record.inputs, axis=0).any() for record in records):  # free decays: no delays, no gains
+    if not any(moves(record.inputs).any() for record in records):  # free decays: no delays, no gains
         rest_of_base = np.linalg.lstsq(base / size, target, rcond=None)[0] / size[:, None]
         return _named(structure, rest_of_base)
     complex_drive = np.concatenate(drives)

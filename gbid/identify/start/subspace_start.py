@@ -10,7 +10,7 @@ import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.discretise import Hold, check_holds, hold_response
-from gbid.identify.data import FitData, Record
+from gbid.identify.data import FitData, Record, moves
 from gbid.identify.predictor import build_predictor
 from gbid.identify.start.black_box import BlackBox, black_box
 from gbid.identify.start.match import Target, match
@@ -86,7 +86,7 @@ def subspace_start(
     known = {q.name: q for q in parameters}
     free = [known[q.name] for q in predictor.free]
     holds = check_holds(intersample, predictor.n_inputs)
-    decays = not any(np.ptp(r.inputs, axis=0).any() for r in data.records)
+    decays = not any(moves(r.inputs).any() for r in data.records)
     records = [Record(r.name, r.inputs[:, :0], r.outputs) for r in data.records] if decays else data.records
     found = black_box(records, predictor.n_states, feedthrough=not decays and _acts_at_once(structure, holds))
     target = _target(found, data, holds, decays)

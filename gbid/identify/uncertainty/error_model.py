@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import cho_factor, solve_triangular
 
 from gbid.arrays import FloatArray
@@ -83,7 +83,11 @@ def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray,
         if n <= longest:
             continue
         M = np.empty_like(total)
-        M[0] = [e[longest:].T @ e[longest - j : n - j] for j in range(longest + 1)]
+        size = next_fast_len(n + longest, real=True)
+        now, all_of = (
+            rfft(np.ascontiguousarray(part.T), size) for part in (np.pad(e[longest:], ((longest, 0), (0, 0))), e)
+        )
+        M[0] = irfft(now[:, None] * all_of.conj(), size)[:, :, : longest + 1].transpose(2, 0, 1)
         first, last = e[longest - 1 :: -1] if longest else e[:0], e[: n - longest - 1 : -1] if longest else e[:0]
         for i in range(longest):  # one lag more in both: one sample enters in front, and one leaves at the end
             M[i + 1, 0] = M[0, i + 1].T

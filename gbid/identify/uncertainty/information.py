@@ -109,7 +109,10 @@ def information_over_records(
     weights = [weight] if shaped is None else [weight, shaped]
     cuts, passes = [], []
     for v, part, first in zip(problem.values(theta), problem.parts, problem.first_window[:-1], strict=True):
-        cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
+        if observed or part.blocks.length < block:  # sensitivities are made of short blocks
+            cuts.append(cut(part.blocks.segments, part.predictor, None, longest_block=block))
+        else:
+            cuts.append(part.blocks.by_whole_segments())
         begin = starts[first + part.blocks.segment_first]
         passes.append(part.kernel.trace(v, cuts[-1], begin, weights))
     sums = [[tied(each.sums, part.tie) for each in own] for part, own in zip(problem.parts, passes, strict=True)]
