@@ -81,7 +81,7 @@ def loops(sampled: bool = False) -> list[gbid.control.Sensitivities]:
     return found
 
 
-GRID = np.concatenate([[0.0], np.geomspace(0.1, 2400, 60001)])
+GRID = np.concatenate([[0.0], np.geomspace(0.1, 2400, 15001)])
 
 
 def largest(loop: gbid.control.Sensitivities, which: str, bound: object = None) -> float:

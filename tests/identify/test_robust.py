@@ -1,6 +1,7 @@
 """Robust loss: known thresholds, derivatives with weights, coverage with outliers, efficiency without."""
 
 import sys
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,6 +30,7 @@ def data(seed, outliers=0.0, n=800):
     return rec.with_signals(y=y)
 
 
+@cache
 def estimates(outliers, seeds, **options):
     fits = [fit(MODE, data(seed, outliers), focus="simulation", **options) for seed in range(seeds)]
     assert all(each.success for each in fits)

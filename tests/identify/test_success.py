@@ -171,7 +171,7 @@ def test_nothing_is_printed_and_overflows_are_one_note(start, capfd):
     problem = start_problem("spring")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        result = fit(problem.structure, problem.recording, start=start, focus="simulation", max_iterations=4)
+        result = fit(problem.structure, problem.recording, start=start, focus="simulation", max_iterations=2)
     assert capfd.readouterr() == ("", "")
     assert sum("overflows at" in note for note in result.notes) <= 1
 

@@ -55,6 +55,12 @@ def samples_of(recording: Recording) -> list[ChainInput]:
     ]
 
 
+@cache
+def without_runout(what: str) -> np.ndarray:
+    online = gbid.OnlinePrefilter(made_map())
+    return np.array([online.step(u.position, u.angle) for u in samples_of(run_of(what))])
+
+
 def chain(kind: str, **options: object) -> Chain:
     settings = ChainOptions(ramp_s=0.01, fade_s=0.01, **options)  # type: ignore[arg-type]
     return chain_of(design(kind), runout_maps=[made_map()], options=settings)
@@ -67,8 +73,7 @@ def test_compiled_is_python_on_a_recorded_run(what: str, kind: str) -> None:
     plan = chain(kind, disc_limit_m=30e-6)
     expected = PythonChain(plan).run(samples)
     assert CompiledChain(plan).run(samples) == expected
-    online = gbid.OnlinePrefilter(made_map())
-    e = np.array([online.step(u.position, u.angle) for u in samples])
+    e = without_runout(what)
     found = np.array([y.deviation for y in expected])
     assert not any(y.fault for y in expected)
     if what in ("stationary", "run-up", "missed index"):
