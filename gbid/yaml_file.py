@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -26,6 +27,7 @@ _LARGEST = 4 << 20  # bytes
 _DEEPEST = 50
 _ALIASED = 10_000
 _BRACKETS = 500
+_KEPT = 100_000  # characters of the longest text whose tree is kept
 
 
 @dataclass(frozen=True)
@@ -89,7 +91,7 @@ def read_yaml(path: Path) -> YamlFile:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror or error}; give a file that can") from None
     try:
-        tree = YAML(typ="rt").load(text)
+        tree = _kept_tree(text) if len(text) < _KEPT else _tree(text)
     except MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         where = f"{path}:{mark.line + 1}:{mark.column + 1}" if mark else str(path)
@@ -105,6 +107,16 @@ def read_yaml(path: Path) -> YamlFile:
         raise UsageError(f"{path}:1:1: expected keys with values, found {found}; write lines as `name: value`")
     notes = (DataNote.CHANGED_BY_HAND(f"{path}: {CHANGED}"),) if is_changed(content) else ()
     return YamlFile(path, plain(tree), tree, notes)
+
+
+def _tree(text: str) -> Any:
+    return YAML(typ="rt").load(text)
+
+
+@lru_cache(maxsize=32)
+def _kept_tree(text: str) -> Any:
+    """Return the tree of a text, which nobody changes. A run reads its files many times, and the parser is slow."""
+    return _tree(text)
 
 
 def _open_brackets(content: bytes) -> int:
