@@ -53,8 +53,8 @@ class FitPairs:
     def missing(self) -> dict[Pair, str]:
         """Pairs whose model or recording is missing, with the reason."""
         pairs = validation_pairs(self._job.experiment, self._name)
-        models = {model: self._why_not(model, "model") for model, _ in pairs}
-        recordings = {recording: self._why_not(recording, "recording") for _, recording in pairs}
+        models = {model: self._why_not(model, "model") for model in {model for model, _ in pairs}}
+        recordings = {each: self._why_not(each, "recording") for each in {recording for _, recording in pairs}}
         return {(m, r): models[m] or recordings[r] for m, r in pairs if models[m] or recordings[r]}
 
     @cached_property
