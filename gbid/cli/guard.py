@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import logging
 import signal
 import sys
@@ -103,6 +104,10 @@ def _forgotten(before: Callable[[sys.UnraisableHookArgs], object], ignored: sys.
     """Be reminded of an interruption that Python would print and forget."""
     if issubclass(ignored.exc_type, KeyboardInterrupt):
         _remind(_SOON_S)
+        if not hasattr(signal, "setitimer"):  # Windows
+            again = threading.Timer(_SOON_S, _thread.interrupt_main)
+            again.daemon = True
+            again.start()
     else:
         before(ignored)
 

@@ -136,7 +136,11 @@ def test_a_full_disk_behind_the_failure_of_a_library_is_one(tmp_path, number, wo
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_interruption_that_python_ignores_comes_again(capsys):
+@pytest.mark.parametrize("system", ["with interval timers", "Windows"])
+def test_an_interruption_that_python_ignores_comes_again(system, capsys, monkeypatch):
+    if system == "Windows":
+        monkeypatch.delattr(signal, "setitimer")
+
     class Thing:
         pass
 
