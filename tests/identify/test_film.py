@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
-from shaken_rig import TRUE, shaken
+from shaken_rig import NO_RUNOUT, PUBLISHED, TRUE, shaken
 
 import gbid
 from gbid.errors import UsageError
 from gbid.identify.nonlinear.nonlinear_predictor import build_nonlinear_predictor
-from gbid.rig import FilmStiffening
+from gbid.rig import FilmStiffening, Machine, Prbs, Unbalance, record
 from gbid.structure import equations_of, evaluate, nonlinear_model
 
 FILM = FilmStiffening(0.9e-6)
@@ -59,6 +59,21 @@ def test_slopes_away_from_the_centre_are_those_of_the_film():
         / weights.sum() ** 2
     )
     np.testing.assert_allclose(of_amplitude.A[2:4, :2], mean, rtol=1e-9)
+
+
+def test_with_the_unbalance_in_the_fit_the_film_is_found_about_the_centre_while_the_shaft_turns():
+    """The rig's rotor turns on an orbit of its unbalance; no prefilter has subtracted it here."""
+    true = PUBLISHED.key_parameters(6.0, 6000.0)
+    machine = Machine.from_parameters(true, PUBLISHED.actuators, Unbalance(1.5e-6, 0.7), NO_RUNOUT, stiffening=FILM)
+    made = record(machine, Prbs(0.6), conditions={"pressure_bar": 6.0, "speed_rpm": 6000.0}, seed=3, name="turning")
+    structure = gbid.RotorBearing(film="stiffening", disturbance_gain="none", unbalance=True)
+    result = gbid.fit(structure, gbid.with_unbalance(made))
+    assert result.success
+    for name, value in {**true, "stiffening": FILM.inverse_square_length}.items():
+        if name in ("k_xx", "k_yy", "b_xx", "b_yy", "stiffening"):
+            assert result.parameters[name] == pytest.approx(value, rel=0.005)
+    mass = result.parameters["e_cos"] + 1j * result.parameters["e_sin"]
+    assert mass == pytest.approx(1.5e-6 * np.exp(0.7j), rel=0.005)
 
 
 def test_film_is_for_fits_of_the_bearing_with_filters_as_delays():
