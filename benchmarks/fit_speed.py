@@ -45,6 +45,7 @@ _FULL = (
     _Job(25_000, "scipy", 1),
     _Job(25_000, "casadi", 1),
     _Job(1_000_000, "compiled", 3),
+    _Job(10_000_000, "compiled", 1),
 )
 _QUICK = tuple(_Job(2_000, method, 1) for method in ("compiled", "numpy", "scipy", "casadi"))
 
@@ -70,7 +71,7 @@ def measure(jobs: Sequence[_Job], repeats: int) -> dict[str, Any]:
         paths = {job.n_samples: Path(folder) / f"{job.n_samples}.npz" for job in jobs}
         for n_samples, path in paths.items():
             make_samples(n_samples).save(path)
-        floor_samples = sorted(paths)[len(paths) // 2]
+        floor_samples = sorted(paths)[(len(paths) - 1) // 2]
         for job in jobs:
             _say(f"{job.method}, {job.n_samples} samples")
             request = {"method": job.method, "samples": str(paths[job.n_samples]), "repeats": job.repeats}

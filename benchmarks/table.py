@@ -101,10 +101,10 @@ def notes(run: Mapping[str, Any]) -> str:
         f"{1e3 * floor['pass_s']:.2f} ms ({floor['pass_s'] / floor['floor_s']:.1f} times).",
         f"- Compiling the kernel takes {run['compile_s']:.1f} s, once per machine and model size.",
     ]
-    largest = _find(run, _LARGEST, "compiled")
-    if largest:
-        per_sample = largest["memory_bytes"] / largest["n_samples"]
-        lines.append(f"- At {_grouped(_LARGEST)} samples a fit needs {per_sample:.0f} bytes per sample.")
+    for n_samples in (_LARGEST, 10 * _LARGEST):
+        if large := _find(run, n_samples, "compiled"):
+            per_sample = large["memory_bytes"] / n_samples
+            lines.append(f"- At {_grouped(n_samples)} samples a fit needs {per_sample:.0f} bytes per sample.")
     first = _find(run, _REFERENCE, "compiled")
     if first:
         lines.append(

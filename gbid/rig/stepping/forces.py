@@ -87,6 +87,8 @@ class Forces:
     def _unbalance(self, time: FloatArray) -> FloatArray:
         """Return the force of an eccentric mass for any rotation of the shaft."""
         unbalance = self.machine.unbalance
+        if self.turning.is_steady and self.turning.speed == 0:
+            return np.zeros((len(time), 2))
         angle = self.turning.angle(time) + unbalance.phase
         outward = unbalance.eccentricity * self.turning.speed_at(time) ** 2
         along = unbalance.eccentricity * self.turning.acceleration_at(time)
