@@ -75,7 +75,7 @@ def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any
     first = fit_tasks(job)[0]
     perform(job, first)
     first.path.unlink()
-    fits, times["fits"] = timed(lambda: run(made, FIT, workers))
+    _, times["fits"] = timed(lambda: run(made, FIT, workers))
     (table, _), times["table"] = timed(lambda: collect(job))
     return {
         "date": datetime.date.today().isoformat(),
@@ -84,7 +84,6 @@ def measure(folder: Path, recordings: int | None, workers: int) -> dict[str, Any
         "workers": workers,
         "fits": len(table),
         "converged": int(sum(table.success)),
-        "robust": sum(outcome.state == "made" for outcome in fits),
         "stages": times,
     }
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
-from gbid.identify.data import FitData
+from gbid.identify.data import FitData, column_means
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.nlp.solver import Solution
 from gbid.identify.nonlinear.working_point import at_working_point
@@ -337,10 +337,12 @@ def _standard_deviations(
 def _fit_percent(data: FitData, errors: list[FloatArray], counted: list[FloatArray], horizon: int) -> FloatArray:
     rows = []
     for e, y in zip(errors, _counted_outputs(data, counted, horizon), strict=True):
-        rows.append(100 * (1 - np.linalg.norm(e, axis=0) / np.linalg.norm(y - y.mean(0), axis=0)))
+        left, whole = (np.linalg.norm(np.ascontiguousarray(part.T), axis=1) for part in (e, y - column_means(y)))
+        rows.append(100 * (1 - left / whole))
     return np.array(rows)
 
 
 def _counted_outputs(data: FitData, counted: list[FloatArray], horizon: int) -> list[FloatArray]:
     """Return the outputs of each record that are in the cost, (n_samples, n_y)."""
-    return [r.outputs[horizon - 1 :][used[:, 0] > 0] for r, used in zip(data.records, counted, strict=True)]
+    pairs = zip(data.records, counted, strict=True)
+    return [r.outputs[horizon - 1 :].compress(used[:, 0] > 0, axis=0) for r, used in pairs]

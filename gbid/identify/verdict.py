@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gbid.arrays import BoolArray, FloatArray
+from gbid.identify.data import column_means
 from gbid.identify.nlp.shooting import Shooting
 from gbid.identify.status import FitStatus
 
@@ -24,7 +25,7 @@ def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[Floa
     outputs : list of (n_samples, n_y) array
         Outputs of each record that are in the cost.
     """
-    centred = [y - y.mean(axis=0) for y in outputs if len(y)]
+    centred = [y - column_means(y) for y in outputs if len(y)]
     constant = problem.cost(np.asarray(sum(y.T @ y for y in centred)))
     cost = problem.cost(products)
     return not cost <= constant + 0.5 * float(np.log1p(_WORSE + _OF_A_MEAN / problem.n_samples))

@@ -50,11 +50,11 @@ def build_problem(
     """
     weights = _checked_weights(output_weights, data)
     if criterion == "det" and output_weights is None:  # outputs count equally at the start, in any units
-        variance = np.average([np.var(r.outputs, axis=0) for r in data.records], axis=0)
+        variance = np.average([_variances(r.outputs) for r in data.records], axis=0)
         weights = 1 / np.where(variance > 0, variance, 1.0)
     theta = np.array([begin[q.name] for q in assembly.free])
     n = assembly.parts[0].predictor.n_states
-    power = sum(float(np.var(r.outputs, axis=0) @ weights) * r.n_samples for r in data.records)
+    power = sum(float(_variances(r.outputs) @ weights) * r.n_samples for r in data.records)
     ones = np.ones(len(theta))
     known = _prior(assembly, prior)
     scale = float(np.sqrt(power / data.n_samples))
@@ -89,10 +89,18 @@ def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -
     """Return the root mean square of each state in a simulation from the starts of windows, in the largest part."""
     firsts = zip(problem.first_window[:-1], problem.first_window[1:], strict=True)
     squares = [
-        np.mean(part.kernel.predict(v, part.blocks, starts[a:b]).states ** 2, axis=(0, 1, 3))
+        _mean_squares(part.kernel.predict(v, part.blocks, starts[a:b]).states)
         for v, part, (a, b) in zip(values, problem.parts, firsts, strict=True)
     ]
     return np.asarray(np.sqrt(np.max(squares, axis=0)))
+
+
+def _mean_squares(states: FloatArray) -> FloatArray:
+    return np.asarray(np.einsum("gknl,gknl->n", states, states) / (states.size // states.shape[2]))
+
+
+def _variances(outputs: FloatArray) -> FloatArray:
+    return np.asarray(np.ascontiguousarray(outputs.T).var(axis=1))
 
 
 def _nonlinear_starts(

@@ -17,6 +17,7 @@ from gbid.identify.start.spectra import as_real, spectrum_of
 from gbid.structure import RotorBearing
 from gbid.structure.rotor_bearing import AXES, PAIRS
 
+_REGULAR = 1e-10  # determinant of two columns, as a part of that of orthogonal ones, above which they are told apart
 _FREQUENCIES = 800  # largest number in the band of the resonance; modes are much wider than their distance
 _ENOUGH = 50_000  # largest number of samples of a record for start values; the fit uses all
 
@@ -82,8 +83,11 @@ def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_t
 
     def unexplained(columns: FloatArray) -> float:
         """Return the residual of two projected columns, up to a constant."""
-        share = columns.T @ rest
-        return -float((share * np.linalg.lstsq(columns.T @ columns, share, rcond=None)[0]).sum())
+        share, own = columns.T @ rest, columns.T @ columns
+        (a, b), (_, c) = own
+        regular = a * c - b * b > _REGULAR * a * c
+        gain = np.array([[c, -b], [-b, a]]) @ share / (a * c - b * b) if regular else np.linalg.lstsq(own, share)[0]
+        return -float((share * gain).sum())
 
     def misfit(tau: FloatArray) -> float:
         columns = delayed(tau)

@@ -170,7 +170,10 @@ def _trajectories(by_start: FloatArray, by_theta: FloatArray, scale: FloatArray,
     sides = np.zeros((size, 2 * n))  # a free trajectory is seen at the first window or, where it grows, at the last
     sides[:n, :n] = sides[-n:, n:] = np.eye(n)
     if gaps.shape[0]:
-        factors = splu(csc_array(gaps @ gaps.T))
+        try:
+            factors = splu(csc_array(gaps @ gaps.T))
+        except RuntimeError as singular:  # far from a solution: the model grows beyond rounding in a window
+            raise np.linalg.LinAlgError("the gaps between windows depend on each other") from singular
         following = gaps.T @ factors.solve(right)
         sides -= gaps.T @ factors.solve(np.asarray(gaps @ sides))
     else:

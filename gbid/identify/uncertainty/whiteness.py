@@ -9,6 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc
 
 from gbid.arrays import FloatArray
+from gbid.identify.data import column_means
 
 LAGS = 25
 """Number of lags of the test."""
@@ -89,7 +90,7 @@ def whiteness_test(errors: list[FloatArray], lags: int = LAGS) -> Whiteness:
 
 
 def _autocorrelation(errors: FloatArray, lags: int) -> _Autocorrelation:
-    centred = errors - errors.mean(0)
+    centred = errors - column_means(errors)
     return _Autocorrelation(len(errors), np.array([correlation(channel, channel, lags)[1:] for channel in centred.T]))
 
 
