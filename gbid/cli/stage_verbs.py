@@ -53,8 +53,8 @@ STAGE_VERBS = (
     StageVerb(
         "rig",
         DATA,
-        "Make the recordings of the rig section.",
-        ("rig",),
+        "Make the recordings of the rig section, after the designs that close their loops.",
+        ("loop", "rig"),
         ("gbid rig rig1/experiment.yaml --overwrite",),
         OR_RUN,
     ),

@@ -68,7 +68,7 @@ def run_stages(
 ) -> None:
     """Run stages by name and print their results; the YAML must have the section of one of them."""
     stages = [stage for stage in registry.STAGES if stage.name in names]
-    experiment, sections = load_experiment(path, results), [stage.section for stage in stages]
+    experiment, sections = load_experiment(path, results), list(dict.fromkeys(stage.section for stage in stages))
     if how.dry_run:
         _check_sections(experiment, sections, hint)
         print_plan(experiment, stages, how.as_json, overwrite=options["overwrite"], retry=options["retry"])
