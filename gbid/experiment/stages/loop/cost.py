@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from gbid.experiment.experiment import Experiment
 from gbid.experiment.keys import content_key, stored_key
 from gbid.experiment.run.job import Job, Task
 from gbid.experiment.run.stage import Stage
@@ -182,5 +183,10 @@ def _write(job: Job, name: str, part: Path) -> None:
     write_csv(table, part, [f"content_key: {_key(job, name)}"])
 
 
-LOOP_COST = Stage("loop cost", "fits", (), cost_tasks)
+def _in_run(experiment: Experiment) -> bool:
+    fits = experiment.spec.fits.values()
+    return any(section.loop is not None and section.loop.beside is not None for section in fits)
+
+
+LOOP_COST = Stage("loop cost", "fits", (), cost_tasks, in_run=_in_run)
 """``loops/<fit>.csv``: standard deviations in the loop beside those without controller."""

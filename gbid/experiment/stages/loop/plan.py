@@ -292,7 +292,7 @@ def _tuned(experiment: Experiment, name: str, planned: bool) -> ControllerDesign
     elif planned:
         gains = {gain.name: _about(gain.start, gain.lower, gain.upper) for gain in structure.parameters}
     else:
-        raise InputError(f"{path}: no design {name!r} with the present settings; `gbid tune` makes it (--overwrite where there is another)")
+        raise InputError(f"{path}: no design {name!r} with the present settings; `gbid tune` makes it")
     return ControllerDesign(name, structure, gains, sample_time(experiment, section), section.method)
 
 
