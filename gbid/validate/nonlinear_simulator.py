@@ -15,6 +15,7 @@ from gbid.validate.simulator import Explained, course
 
 _ROUNDS = 30  # evaluations of a search
 _SETTLED = 1e-10  # relative step, and fall of the squares, at which it ends
+_FADED = 1e-4  # part of the influence of the initial state that is left in the second half of a stretch
 _FIRST, _GROWTH = 16, 4  # samples of the first stretch, for each state, and by how much the next one is longer
 
 
@@ -23,7 +24,7 @@ class NonlinearSimulator:
     """Nonlinear model prepared for the simulation on recordings; see `Simulator`.
 
     The initial state is found by least squares, first on the first samples, and then on more and more: over a whole
-    recording the squares have many minima.
+    recording the squares have many minima. This ends where its influence has faded.
 
     Attributes
     ----------
@@ -66,9 +67,13 @@ class NonlinearSimulator:
                 return Explained(np.full(len(z), np.nan), rest(z, n))
             unit = float(np.abs(rest(z, n)).max()) or 1.0
             tolerances = {"xtol": _SETTLED, "ftol": _SETTLED, "gtol": None}
-            z = scipy.optimize.least_squares(
+            found = scipy.optimize.least_squares(
                 lambda at, n=n, unit=unit: rest(at, n).ravel() / unit, z, max_nfev=_ROUNDS, **tolerances
-            ).x
+            )
+            z, slopes = found.x, found.jac.reshape(len(outputs), -1, len(z))
+            late, largest = (np.linalg.norm(s, axis=(0, 1)).max() for s in (slopes[:, slopes.shape[1] // 2 :], slopes))
+            if not self.disturbances.terms and late <= _FADED * largest:
+                break  # more samples tell nothing more of the initial state
         return Explained(z * size, rest(z, every))
 
     def run(self, inputs: FloatArray, initial_state: FloatArray | None = None) -> FloatArray:
