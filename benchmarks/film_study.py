@@ -26,7 +26,7 @@ from gbid.structure import KEY_PARAMETERS
 
 ROOT = Path(__file__).parents[1]
 STORED = ROOT / "docs" / "film.json"
-FITS = {"linear": {}, "film": {"options": {"pade_order": 2, "film": "stiffening"}}}
+FITS = {"linear": {}, "film": {"options": {"film": "stiffening"}}}
 _HELD_OUT = 10_000  # samples of a cross-validation
 _GRID = 1000  # random points of the domain
 _ENOUGH = 0.95  # share of them within three standard deviations
@@ -97,7 +97,7 @@ def stiffening(fits: Sequence[gbid.FitResult], points: Sequence[tuple[float, flo
     found: dict[tuple[float, float], list[float]] = {}
     for fit, point in zip(fits, points, strict=True):
         found.setdefault(point, []).append(fit.parameters["stiffening"])
-    structure = gbid.RotorBearing(film="stiffening", pade_order=2)
+    structure = gbid.RotorBearing(film="stiffening")
     surface = gbid.fit_lpv(
         fits, points, structure=structure, scheduling=_STEMS, parameters=("stiffening",), order=0, name="film"
     )

@@ -10,8 +10,6 @@ from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.parameter import Values
 from gbid.structure.rotor_bearing import AXES, STIFFENING, RotorBearing, square
 
-_CHANNELS = (AXES, ("cos", "sin"))  # of the piezos and of the unbalance, if it is an input
-
 
 def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
     """Return the equations of a rotor bearing whose film stiffens.
@@ -36,7 +34,7 @@ def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
         ["p_x", "p_y", "v_x", "v_y", *late],
         dynamics,
         lambda x, _u, _p: x[:2],
-        [f"{signal}.{channel}" for signal, pair in zip(bearing.inputs, _CHANNELS, strict=False) for channel in pair],
+        [f"{signal}.{axis}" for signal in bearing.inputs for axis in AXES],
         [f"{bearing.outputs[0]}.{axis}" for axis in AXES],
         intersample=bearing.intersample,
         disturbance_gain=None if bearing.disturbance_gain == "none" else lambda p: bearing.matrices(p)["K"],
