@@ -7,6 +7,7 @@ import pytest
 from experiment_files import write_quick
 
 import gbid
+from gbid.cli.next_step import next_step
 from gbid.control import exact_plant, load_controller, ringing_modes
 from gbid.errors import UsageError
 from gbid.experiment.load import load_experiment
@@ -53,6 +54,16 @@ def cycled(tmp_path_factory):
     for stage in (RIG, FIT, LPV, TUNE, CYCLE_STAGE):
         assert {outcome.state for outcome in run_stage(job, stage)} == {"made"}
     return job
+
+
+def test_gbid_run_leaves_out_a_cycle_that_waits_to_be_asked_for(tmp_path):
+    asked, usual = (
+        load_experiment(write_quick(tmp_path / name, ("  rounds: 1", f"  rounds: 1\n  in_run: {name}"), text=CYCLE))
+        for name in ("false", "true")
+    )
+    assert [CYCLE_STAGE.in_run(experiment) for experiment in (asked, usual)] == [False, True]
+    assert next_step(asked, "run").startswith("gbid cycle ")
+    assert not next_step(usual, "run").startswith("gbid cycle ")
 
 
 def test_rounds_are_recorded_in_the_loop_of_the_round_before_and_measured_on_the_rig(cycled):
