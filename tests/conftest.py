@@ -13,6 +13,7 @@ import pytest
 
 for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(name, "1")
+os.environ.setdefault("GBID_CFLAGS", "-O1")  # hundreds of kernels, each for a few small fits
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # a shell's way with what it starts in the background
     signal.signal(signal.SIGINT, signal.default_int_handler)  # and with it for the programs that tests interrupt
 

@@ -58,6 +58,9 @@ def load_library(source: str, flags: tuple[str, ...] = FLAGS) -> Library:
     with a checksum: a library that is damaged is compiled again, and is not loaded. When other users may write to the
     cache folder, or another process holds the library for long, it is compiled into a folder of this process.
 
+    The flags in the environment variable ``GBID_CFLAGS`` follow the others: with ``-O1`` kernels are compiled in a
+    third of the time, and fits take up to a quarter longer.
+
     Parameters
     ----------
     source : str
@@ -75,7 +78,7 @@ def load_library(source: str, flags: tuple[str, ...] = FLAGS) -> Library:
     CompilerMissingError
         When there is no compiler, when the compiler fails, or when the cache folder cannot be written.
     """
-    compiler = find_compiler()
+    compiler, flags = find_compiler(), (*flags, *os.environ.get("GBID_CFLAGS", "").split())
     key = hashlib.sha256("\0".join([source, compiler.version, *flags, _processor()]).encode()).hexdigest()[:32]
     try:
         folder = cache_folder()

@@ -49,6 +49,16 @@ def cache(tmp_path_factory):
     return tmp_path_factory.mktemp("kernels")
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _flags_of_users():
+    """Compile as users do; other tests compile in less time."""
+    with pytest.MonkeyPatch.context() as environment:
+        environment.delenv("GBID_CFLAGS", raising=False)
+        forget_libraries()
+        yield
+    forget_libraries()
+
+
 @pytest.fixture
 def fresh(monkeypatch):
     """Forget what this process has loaded, before and after."""
