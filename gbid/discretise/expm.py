@@ -15,7 +15,7 @@ depend on the fastest pole and not on the scaling of the states.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from math import factorial
+from math import factorial, prod
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -87,7 +87,7 @@ def _weighted_sum(weights: list[float], matrices: list[Any]) -> Any:
 def each(Z: Any) -> FloatArray:
     """Return the values of a matrix or dual at all points, (n_points, n, n)."""
     value = np.asarray(Z.value if isinstance(Z, Dual) else Z, float)
-    return value.reshape(-1, *value.shape[-2:])
+    return value.reshape(prod(value.shape[:-2]), *value.shape[-2:])
 
 
 def squarings_for(matrices: Iterable[FloatArray]) -> int:
