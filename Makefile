@@ -82,6 +82,7 @@ bench: $(VENV)/.installed  ## how fast a fit is, beside scipy and CasADi; writes
 	$(BIN)/python -m benchmarks.tune_speed --output docs/tune-speed.json
 	$(BIN)/python -m benchmarks.nonlinear_speed --output docs/nonlinear-speed.json
 	$(BIN)/python -m benchmarks.campaign_speed --output docs/campaign-speed.json
+	$(BIN)/python -m benchmarks.campaign_bill --output docs/campaign-bill.json
 
 mutants: $(VENV)/.installed-test  ## put 300 small faults into the source, one at a time, and count those that the tests notice
 	$(BIN)/python -m pip install --quiet --editable '.[test,mutants]'
