@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from gain_problems import damping_problem
 
-from gbid.control.tuning.search.global_search import Effort, better, search
+from gbid.control.tuning.search.basins.ranking import better
+from gbid.control.tuning.search.global_search import Effort, search
 from gbid.control.tuning.search.nonsmooth.active import Score
 from gbid.control.tuning.search.sqp import optimise_locally
 

@@ -11,11 +11,8 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
-from gbid.control.tuning.search.global_search import (
-    FEASIBLE,
-    Effort,
-    Progress,
-)
+from gbid.control.tuning.search.basins.ranking import FEASIBLE
+from gbid.control.tuning.search.global_search import Effort, Progress
 from gbid.control.tuning.search.limits import Limits, Objective
 from gbid.control.tuning.search.loop_family import families_of
 from gbid.control.tuning.search.nonsmooth.certificate import Certificate

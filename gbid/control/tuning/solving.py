@@ -8,15 +8,9 @@ from dataclasses import replace
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.search.global_search import (
-    Effort,
-    Progress,
-    SearchOutcome,
-    better,
-    certificate_units,
-    refine,
-    search,
-)
+from gbid.control.tuning.search.basins.climber import certificate_units
+from gbid.control.tuning.search.basins.ranking import better
+from gbid.control.tuning.search.global_search import Effort, Progress, SearchOutcome, refine, search
 from gbid.control.tuning.search.nonsmooth.certificate import certify
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg.lapack import dgebal, zgees
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
 from gbid.control.tuning.search.kernels.compiled import (
     SchurResponse,
@@ -61,33 +62,42 @@ class ModalResponse:
         outputs, inputs = (C @ modes.right).transpose(0, 2, 1), modes.left @ loops.B
         self._residues = (outputs[:, :, :, None] * inputs[:, :, None, :]).reshape(m, n, n_y * inputs.shape[2])
         self._forms: dict[int, SchurResponse] = {}
-        self._useless = np.zeros(m, bool)
         # large entries may come from units of the states, or from eigenvectors that are nearly parallel
-        suspect = np.flatnonzero(~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT))
-        if len(suspect):
-            self._useless[suspect] = ~(self._error(suspect) < _WRONG)
+        self._suspect = ~(np.abs(modes.left).max(axis=(1, 2)) < _SUSPECT)
 
     def parts(self) -> tuple[ComplexArray, ComplexArray, FloatArray, dict[int, SchurResponse]]:
-        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops without use of their modes."""
-        forms = {int(loop): self._form(int(loop)) for loop in np.flatnonzero(self._useless)}
+        """Return poles (m, n), residues (m, n, n_y n_d), D, and Schur forms of loops whose modes may have no use."""
+        forms = {int(loop): self._form(int(loop)) for loop in np.flatnonzero(self._suspect)}
         return self._poles, self._residues, self._D, forms
 
     def __call__(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
         """Return the responses of all or of chosen loops at (k, f) frequencies [rad/s]: (k, f, n_y, n_d)."""
-        poles, residues, D, useless = self._poles, self._residues, self._D, self._useless
+        found, useless = self._of_modes(frequency, which), self._useless
+        loops = np.arange(len(frequency)) if which is None else which
+        for loop in np.unique(loops[useless[loops]]) if useless.any() else ():
+            found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
+        return found
+
+    @cached_property
+    def _useless(self) -> BoolArray:
+        """Which loops have no use of their modes."""
+        found = np.zeros(len(self._suspect), bool)
+        if self._suspect.any():
+            loops = np.flatnonzero(self._suspect)
+            found[loops] = ~(self._error(loops) < _WRONG)
+        return found
+
+    def _of_modes(self, frequency: FloatArray, which: IntArray | None = None) -> ComplexArray:
+        poles, residues, D = self._poles, self._residues, self._D
         if which is not None:
-            poles, residues, D, useless = poles[which], residues[which], D[which], useless[which]
+            poles, residues, D = poles[which], residues[which], D[which]
         # a quotient of real numbers is faster than one of complex numbers
         rate, off = poles.real[:, None, :], frequency[:, :, None] - poles.imag[:, None, :]
         size = rate * rate + off * off
         resolvent = np.empty(size.shape, complex)
         np.divide(-rate, size, out=resolvent.real)
         np.divide(-off, size, out=resolvent.imag)
-        found = (resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None]
-        loops = np.arange(len(frequency)) if which is None else which
-        for loop in np.unique(loops[useless]) if useless.any() else ():
-            found[loops == loop] = self._without_modes(int(loop), frequency[loops == loop])
-        return np.asarray(found)
+        return np.asarray((resolvent @ residues).reshape(*frequency.shape, *D.shape[1:]) + D[:, None])
 
     def _error(self, loops: IntArray) -> FloatArray:
         """Return the relative error of the responses of some loops at two frequencies, from a direct solution."""
@@ -98,7 +108,7 @@ class ModalResponse:
             exact = direct_response(A, B, C, self._D[loops], frequency)
         except np.linalg.LinAlgError:  # a pole on one of the frequencies
             return np.full(len(loops), np.inf)
-        off = np.abs(self(frequency, loops) - exact).max(axis=(1, 2, 3))
+        off = np.abs(self._of_modes(frequency, loops) - exact).max(axis=(1, 2, 3))
         return np.asarray(off / np.abs(exact).max(axis=(1, 2, 3)))
 
     def _form(self, loop: int) -> SchurResponse:

@@ -111,17 +111,6 @@ class GainProblem:
         inwards = np.where(x + step > self.upper, -step, step)
         return LoopState(family, x, loops, Eigensystem.of(loops.A) if system is None else system, inwards)
 
-    def aim_bound(self, x: FloatArray) -> float:
-        """Return an upper bound of the merit of a design: objective minus penalty of the slowest pole."""
-        value, slow = np.inf, -np.inf
-        for family in self.families:
-            values = true_rates(eigenvalues(family.states(x)), family.sample_time)
-            if np.isnan(values).any():
-                return -np.inf
-            worst = float(self.aim(values, family.sample_time).min())
-            value, slow = min(value, worst), max(slow, float(values.real.max()))
-        return value - 10.0 * max(0.0, (self.slowest + slow) / self.scale)
-
     def stable(self, x: FloatArray) -> bool:
         """Return whether all loops are stable."""
         # NaN is not below zero

@@ -43,6 +43,7 @@ def optimise_locally(
     tolerance: float = 1e-9,
     curvature: bool = True,
     goal: float = -np.inf,
+    repair: bool = True,
     on_step: Callable[[int, Score], None] | None = None,
 ) -> LocalOptimum:
     r"""Return a local optimum.
@@ -73,6 +74,8 @@ def optimise_locally(
         Whether H is computed (by differences of the gradients) or zero.
     goal : float
         Merit below which the optimum has no use. The optimisation ends when it will hardly be reached.
+    repair : bool
+        Whether small violations of limits that are left are made smaller with a larger penalty.
     on_step : callable, optional
         Called with iteration and score.
 
@@ -82,7 +85,7 @@ def optimise_locally(
     """
     x = np.clip(start, problem.lower, problem.upper)
     found = _climb(problem, x, radius, max_iterations, tolerance, curvature, _PENALTY, goal, on_step)
-    if 1e-8 < found.score.violation < 0.1 and merit(found.score, _PENALTY) > goal:
+    if repair and 1e-8 < found.score.violation < 0.1 and merit(found.score, _PENALTY) > goal:
         again = _climb(problem, found.x, 1e-3, 40, tolerance, curvature, 1e3 * _PENALTY, goal, on_step)
         found = replace(again, iterations=found.iterations + again.iterations)
     return found

@@ -1,0 +1,110 @@
+"""Climbs to local optima, as many iterations as their stage is worth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gbid.arrays import FloatArray
+from gbid.control.tuning.search.basins.ranking import PENALTY, rank
+from gbid.control.tuning.search.nonsmooth.certificate import certify
+from gbid.control.tuning.search.nonsmooth.quasi_newton import ascend
+from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
+
+GRID = {1: 61, 2: 25, 3: 9}
+"""Number of grid points per gain, for up to three gains."""
+_HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
+_FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
+"""Sizes of random moves without limits on responses, in units or shares of the gains."""
+_ROUGH = 30
+"""Number of iterations from each start where more than eigenvalues counts; the better two thirds get as many again."""
+LATER_RADIUS = 0.02
+"""Trust region with which these go on, as a share of the bounds."""
+_FULL = 100
+"""Largest number of iterations of a full optimisation there: one that creeps gets on faster by a random move."""
+
+
+@dataclass(frozen=True, eq=False)
+class Climber:
+    """Local optimisation of a problem: steps over all active functions, and BFGS where nothing but damping counts.
+
+    Limits make a ridge of every design on them, along which BFGS is slow. Without limits it is the faster one: its
+    evaluations need one gradient only.
+    """
+
+    problem: GainProblem
+    unit: FloatArray
+
+    @property
+    def free(self) -> bool:
+        """Whether only eigenvalues count."""
+        limits = self.problem.limits
+        return not (limits.has_responses or limits.measures or self.problem.linear)
+
+    @property
+    def starts(self) -> int:
+        """Number of random starts."""
+        if not self.free:
+            return 8
+        return 24 if len(self.unit) <= 12 else 12
+
+    @property
+    def hop_sizes(self) -> tuple[float, ...]:
+        """Sizes of random moves."""
+        return _FREE_HOPS if self.free else _HOP_SIZES
+
+    def rough(self, start: FloatArray, goal: float, radius: float = 0.1) -> LocalOptimum:
+        """Return a design near a start that is better, with few evaluations; fewer where the goal is out of reach."""
+        if self.free:
+            return self._ascent(start, 100 + 20 * len(start))
+        return optimise_locally(
+            self.problem, start, radius=radius, max_iterations=_ROUGH, tolerance=1e-5, goal=goal, repair=False
+        )
+
+    def full(self, start: FloatArray, goal: float) -> LocalOptimum:
+        """Return a local optimum; where more than eigenvalues counts, only if it may reach the goal."""
+        if not self.free:
+            return optimise_locally(self.problem, start, max_iterations=_FULL, goal=goal)
+        if len(start) in GRID:
+            found = optimise_locally(self.problem, start, max_iterations=_FULL)
+            if found.converged and self.certified(found):
+                return found
+        return optimise_locally(self.problem, self._ascent(start, 200 + 60 * len(start)).x, max_iterations=300)
+
+    def hop(self, best: LocalOptimum, size: float, rng: np.random.Generator) -> LocalOptimum:
+        """Return the local optimum after a random move of some size; less good where it will not be better."""
+        x = best.x
+        step = size * rng.standard_normal(len(x))
+        if not self.free:
+            moved = x + step * (self.problem.upper - self.problem.lower)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=rank(best))
+        found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
+        return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
+
+    def certified(self, best: LocalOptimum) -> bool:
+        """Return whether a design is optimal to first order."""
+        return certify(self.problem, best.x, certificate_units(self.unit, best.x))[0].holds
+
+    @property
+    def _left(self) -> int:
+        return max((self.problem.most_evaluations or 0) - self.problem.evaluations, 1)
+
+    def _ascent(self, start: FloatArray, most: int) -> LocalOptimum:
+        problem = self.problem
+        x = np.clip(start, problem.lower, problem.upper)
+        found = ascend(
+            lambda y: problem.merit_and_slope(y, PENALTY),
+            x,
+            problem.lower,
+            problem.upper,
+            self.unit,
+            max_evaluations=most if problem.most_evaluations is None else min(most, self._left),
+        )
+        return LocalOptimum(found.x, problem.score(found.x), found.evaluations, True)
+
+
+def certificate_units(unit: FloatArray, x: FloatArray) -> FloatArray:
+    """Return the units of a certificate: a gain's own magnitude, or its unit where it is small."""
+    return np.maximum(unit, np.abs(x))
