@@ -118,9 +118,10 @@ def search(
             if problem.exhausted:
                 break
     rough.sort(key=rank, reverse=True)
-    if not (climber.free or d in GRID):
-        goal = rank(rough[0])
-        further = [climber.rough(one.x, goal, LATER_RADIUS) for one in rough[: -(-2 * len(rough) // 3)]]
+    raced = not climber.free and d not in GRID and len(rough) > _FINALISTS
+    if raced:
+        lead = rank(rough[0])
+        further = [climber.rough(one.x, lead, LATER_RADIUS) for one in rough[: -(-2 * len(rough) // 3)]]
         note("global", best_of(further).score)
         rough = sorted(further, key=rank, reverse=True)[:_FINALISTS]
     finals: list[LocalOptimum] = []
@@ -128,8 +129,8 @@ def search(
         same = (problem.upper - problem.lower) * (_SAME if d in GRID else 1e-6)
         if any((np.abs(start.x - other.x) <= same).all() for other in finals):
             continue
-        goal = max(map(rank, finals), default=-np.inf)
-        finals.append(start if problem.exhausted else climber.full(start.x, -np.inf if d in GRID else goal))
+        goal = max(map(rank, finals), default=-np.inf) if raced else None
+        finals.append(start if problem.exhausted else climber.full(start.x, goal))
         note("local", best_of(finals).score)
     best = best_of(finals)
     if d not in GRID and effort.hops and not _settled(climber, finals):

@@ -233,7 +233,9 @@ class GainProblem:
             if not own:
                 continue
             used = np.unique([functions[i].loop for i in own])
-            parts = [family.derivatives(x).of(used) for x in designs]
+            parts = [family.derivatives(x) for x in designs]
+            if len(used) < len(family):
+                parts = [part.of(used) for part in parts]
             loops = Derivatives.joined(parts)
             spectral = any(functions[i].kind in ("aim", "pole") for i in own)
             near = NearbyEigenvalues(loops, len(used)) if spectral else None

@@ -50,12 +50,13 @@ def bilinear(w: ComplexArray, M: FloatArray, v: ComplexArray) -> ComplexArray:
 
 def eigenvalues(A: FloatArray) -> ComplexArray:
     """Return the eigenvalues (m, n) of (m, n, n) matrices, NaN for those without finite eigenvalues."""
-    usable = _usable(A)
-    if usable.all():
+    usable: BoolArray | None = None
+    if np.abs(A).max(initial=0.0) < LARGEST:
         try:
             return np.asarray(np.linalg.eigvals(A), complex)
         except np.linalg.LinAlgError:
             usable = _one_by_one(A)
+    usable = _usable(A) if usable is None else usable
     found = np.full(A.shape[:2], np.nan, complex)
     if usable.any():
         found[usable] = np.linalg.eigvals(A[usable])
@@ -117,9 +118,8 @@ class Eigensystem:
         and are divided by the smallest number instead of zero. Its eigenvalues stay as they are: a change of the matrix
         by rounding errors would move k eigenvalues that meet by the k-th root of these.
         """
-        usable = _usable(A)
-        if not usable.all():
-            return cls._of_some(A, usable)
+        if not np.abs(A).max(initial=0.0) < LARGEST:
+            return cls._of_some(A, _usable(A))
         try:
             values, right = np.linalg.eig(A)
         except np.linalg.LinAlgError:

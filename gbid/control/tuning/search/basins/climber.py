@@ -22,8 +22,8 @@ _ROUGH = 30
 """Number of iterations from each start where more than eigenvalues counts; the better two thirds get as many again."""
 LATER_RADIUS = 0.02
 """Trust region with which these go on, as a share of the bounds."""
-_FULL = 100
-"""Largest number of iterations of a full optimisation there: one that creeps gets on faster by a random move."""
+_RACED = 100
+"""Largest number of iterations of a full optimisation in a race: one that creeps gets on faster by a random move."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,12 +63,14 @@ class Climber:
             self.problem, start, radius=radius, max_iterations=_ROUGH, tolerance=1e-5, goal=goal, repair=False
         )
 
-    def full(self, start: FloatArray, goal: float) -> LocalOptimum:
-        """Return a local optimum; where more than eigenvalues counts, only if it may reach the goal."""
+    def full(self, start: FloatArray, goal: float | None = None) -> LocalOptimum:
+        """Return a local optimum; with a goal, as in a race of many starts, only one that soon reaches it."""
+        if goal is not None:
+            return optimise_locally(self.problem, start, max_iterations=_RACED, goal=goal)
         if not self.free:
-            return optimise_locally(self.problem, start, max_iterations=_FULL, goal=goal)
+            return optimise_locally(self.problem, start, max_iterations=300)
         if len(start) in GRID:
-            found = optimise_locally(self.problem, start, max_iterations=_FULL)
+            found = optimise_locally(self.problem, start, max_iterations=_RACED)
             if found.converged and self.certified(found):
                 return found
         return optimise_locally(self.problem, self._ascent(start, 200 + 60 * len(start)).x, max_iterations=300)

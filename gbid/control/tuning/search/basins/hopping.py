@@ -50,12 +50,14 @@ def hop_with_limits(
     """
     best, kinds = best_of(finals), len(climber.hop_sizes)
     others = [one for one in finals if abs(one.score.value - best.score.value) > _OTHER * abs(best.score.value)]
-    for line in [best, *sorted(others, key=rank, reverse=True)[:1]]:
-        found, returned = hop_basins(climber, line, rng, most, 2 * kinds, note)
+    if not others:
+        best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)
+    for line in [best, max(others, key=rank)] if others else []:
+        found, returned = hop_basins(climber, line, rng, most, 2 * kinds, note, early=True)
         best = found if better(found.score, best.score) or found.score == best.score else best
         if found is best and returned:
             break
-    for _ in range(_ROUNDS):
+    for _ in range(_ROUNDS - 1):
         if climber.problem.exhausted or climber.certified(best):
             break
         best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)
@@ -69,12 +71,13 @@ def hop_basins(
     most: int,
     in_vain: int,
     note: Note,
+    early: bool = False,
 ) -> tuple[LocalOptimum, bool]:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
-    With limits, fewer moves are enough when several of the longest ones end at the same value, or when moves of every
-    size were in vain, a long one ended at the same value, and the design is certified. The second result tells whether
-    one of the longer moves in vain ended at the same value.
+    With limits, fewer moves are enough when several of the longest ones end at the same value. An early end is when
+    moves of every size were in vain, a long one ended at the same value, and the design is certified. The second
+    result tells whether one of the longer moves in vain ended at the same value.
     """
     vain = longest = long = 0
     for i in range(most):
@@ -91,7 +94,7 @@ def hop_basins(
         long = 0 if not vain else long + (near and size in climber.hop_sizes[-2:])
         best = again if improved else best
         note("basin hopping", best.score)
-        if long and vain >= len(climber.hop_sizes) and not climber.free and climber.certified(best):
+        if early and long and vain >= len(climber.hop_sizes) and climber.certified(best):
             break
     return best, bool(long)
 
