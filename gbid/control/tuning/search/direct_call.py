@@ -67,9 +67,3 @@ class DirectCall:
         self._input[: len(x)] = x
         self._trigger()
         return tuple(output.take(order) for output, order in zip(self._outputs, self._orders, strict=True))
-
-    def first(self, x: FloatArray) -> FloatArray:
-        """Return the blocks of the first output only."""
-        self._input[: len(x)] = x
-        self._trigger()
-        return self._outputs[0].take(self._orders[0])

@@ -97,7 +97,7 @@ class LoopFamily:
 
     def states(self, gains: FloatArray) -> FloatArray:
         """Return A (m, n, n)."""
-        return self._calls["matrices"].first(gains)
+        return self.matrices(gains).A
 
     def derivatives(self, gains: FloatArray) -> Derivatives:
         """Return the matrices with their derivatives."""
