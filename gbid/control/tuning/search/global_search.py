@@ -137,6 +137,10 @@ def search(
         rng = np.random.default_rng(effort.seed)
         hop = hop_freely if climber.free else hop_with_limits
         best = hop(climber, finals, rng, effort.hops, note)
+    if d in GRID and not climber.free and not problem.exhausted:
+        # a climb along a flat limit may have stopped early; a fresh one with short steps costs little
+        again = optimise_locally(problem, best.x, max_iterations=60, radius=1e-3)
+        best = again if better(again.score, best.score) else best
     if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
