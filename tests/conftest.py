@@ -24,6 +24,11 @@ settings.register_profile("search", derandomize=False, deadline=None, print_blob
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the pages of the documentation: they take longest, and at the end they would leave processors idle."""
+    items.sort(key=lambda item: not item.name.startswith("test_code_cells_run"))
+
+
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> Iterator[None]:
     """Say last what was not tested here, and why: a skip that nobody sees would pass for a test."""
