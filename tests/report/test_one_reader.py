@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import re
+from dataclasses import replace
 from html import unescape
 
 import pytest
@@ -111,6 +112,11 @@ def test_the_cap_and_the_travel_are_those_of_the_experiment(made):
     slow, published = Results(Job(load_experiment(made))).assessed
     assert (slow.name, published.name, slow.cap) == ("slow", "published", 3.0)
     assert not any("above 2.6" in text for text in slow.warnings())
+    peak = slow.figures.worst["peak_output"][0]
+    tight = replace(slow, cap=peak - 0.01)
+    words = f"peak of S_o {peak:.3f}, above {tight.cap:g}"
+    assert words in tight.warnings()
+    assert words not in replace(tight, for_sampling=True).warnings()  # its cap is on the sampled loop
     stack = slow.figures.worst["stack_travel_m"][0]
     assert slow.figures.exceeds_travel.any() == (stack > 10e-6)
 
