@@ -4,6 +4,7 @@ Property tests draw the same examples in every run, so that a change is judged b
 ``HYPOTHESIS_PROFILE=search make unit`` draws new ones.
 """
 
+import gc
 import os
 import signal
 from collections import Counter
@@ -27,6 +28,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeatable"))
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the pages of the documentation: they take longest, and at the end they would leave processors idle."""
     items.sort(key=lambda item: not item.name.startswith("test_code_cells_run"))
+    gc.collect()
+    gc.freeze()  # else each collection of garbage goes through half a million objects of pytest
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
