@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbid.identify.kernel.source import KernelPattern, sum_of, terms_of
+from gbid.identify.kernel.source import LANES, KernelPattern, sum_of, terms_of
 
 _BUFFER_BYTES = 96 * 1024  # factors of the products held between sums: stays in the first-level cache
 _TILE = 4
@@ -30,6 +30,7 @@ def second_source(pattern: KernelPattern) -> str:
     n_y, n_p = pattern.C.shape[0], len(pattern.dF)
     rows, columns = (-(-size // _TILE) * _TILE for size in (n + n_y, n_p * n))
     return _TEMPLATE.format(
+        LANES=LANES,
         N=n,
         NZ=n_z,
         NY=n_y,
@@ -55,8 +56,7 @@ def _sensitivity(p: KernelPattern, i: int) -> list[str]:
 
 _TEMPLATE = """\
 /* Written by gbid for one model structure: see gbid/identify/kernel/second_source.py. */
-typedef double v __attribute__((vector_size(64)));
-typedef double u __attribute__((vector_size(64), aligned(8)));
+{LANES}
 #define N {N}
 #define NZ {NZ}
 #define NY {NY}
@@ -65,12 +65,6 @@ typedef double u __attribute__((vector_size(64), aligned(8)));
 #define COLUMNS {COLUMNS}
 #define STEPS {STEPS}
 #define TILE {TILE}
-
-static inline double total(v a) {{
-  double s = 0;
-  for (int l = 0; l < 8; l++) s += a[l];
-  return s;
-}}
 
 /* Products over the samples of one buffer. */
 static void add_up(int count, const v *restrict A, const v *restrict S, v *restrict P) {{

@@ -71,6 +71,7 @@ def kernel_source(pattern: KernelPattern) -> str:
     for i in range(n_p):
         step += _sensitivity(pattern, i)
     return _TEMPLATE.format(
+        LANES=LANES,
         N=n,
         NZ=n_z,
         NY=n_y,
@@ -156,10 +157,20 @@ def _sensitivity(p: KernelPattern, i: int) -> list[str]:
     return lines
 
 
-_TEMPLATE = """\
-/* Written by gbid for one model structure: see gbid/identify/kernel/source.py. */
+LANES = """\
 typedef double v __attribute__((vector_size(64)));
 typedef double u __attribute__((vector_size(64), aligned(8)));
+static inline double total(v a) {
+  double s = 0;
+  for (int l = 0; l < 8; l++) s += a[l];
+  return s;
+}
+"""
+"""Vectors of eight blocks, aligned or not, and the sum over them."""
+
+_TEMPLATE = """\
+/* Written by gbid for one model structure: see gbid/identify/kernel/source.py. */
+{LANES}
 #define N {N}
 #define NZ {NZ}
 #define NY {NY}
@@ -167,12 +178,6 @@ typedef double u __attribute__((vector_size(64), aligned(8)));
 #define NPP {NPP}
 #define BUF ({STEPS}*NY)
 #define TILE {TILE}
-
-static inline double total(v a) {{
-  double s = 0;
-  for (int l = 0; l < 8; l++) s += a[l];
-  return s;
-}}
 
 /* Sums over the samples of one buffer; U are the roots of their weights, or NULL where all are 1 or 0. */
 static void add_up(int rows, v *restrict P, const v *restrict E, const double *restrict T, const v *restrict U,
