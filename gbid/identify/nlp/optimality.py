@@ -78,23 +78,28 @@ def gauss_newton_step(
     largest = np.zeros(m)
     np.maximum.at(largest, bound[0], np.abs(slopes))
     largest = np.where(largest > 0, largest, 1.0)
+    entries = iterate.hessian * size[upper.rows] * size[upper.columns]
+    own = np.zeros(n)
+    own[upper.rows[~beside]] = entries[~beside]
+    every, scaled = np.arange(n + m), slopes / largest[bound[0]]
     parts = [
-        (upper.rows, upper.columns, iterate.hessian * size[upper.rows] * size[upper.columns]),
-        (upper.columns[beside], upper.rows[beside], (iterate.hessian * size[upper.rows] * size[upper.columns])[beside]),
-        (n + bound[0], bound[1], slopes / largest[bound[0]]),
-        (bound[1], n + bound[0], slopes / largest[bound[0]]),
+        (upper.rows[beside], upper.columns[beside], entries[beside]),
+        (n + bound[0], bound[1], scaled),
     ]
     rows, columns, entries = (np.concatenate(each) for each in zip(*parts, strict=True))
     kept = free[rows] & free[columns]
-    every = np.arange(n + m)
-    rest = np.concatenate([np.where(free[:n], _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
+    rows, columns, entries = rows[kept], columns[kept], entries[kept]
+    diagonal = np.concatenate([np.where(free[:n], own + _ROUNDING, 1.0), np.full(m, -_ROUNDING)])
     matrix = coo_array(
         (
-            np.concatenate([entries[kept], rest]),
-            (np.concatenate([rows[kept], every]), np.concatenate([columns[kept], every])),
+            np.concatenate([entries, entries, diagonal]),
+            (np.concatenate([rows, columns, every]), np.concatenate([columns, rows, every])),
         ),
         shape=(n + m, n + m),
-    ).tocsc()
+    )
+    matrix.has_canonical_format = True  # each entry once: no search for others
+    matrix = matrix.tocsc()
+    matrix.has_canonical_format = matrix.has_sorted_indices = True  # the factorisation needs no order in a column
     slope = np.concatenate([iterate.gradient * size, np.concatenate([iterate.gaps, off]) / largest])
     with warnings.catch_warnings():
         warnings.simplefilter("error", MatrixRankWarning)
