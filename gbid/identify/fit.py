@@ -219,7 +219,7 @@ def fit(
     ) -> Attempt:
         posed = asked.posed(own, samples, gain_held=gain_held)
         problem, box = posed.problem, (posed.lower, posed.upper)
-        rate = problem.rate(posed.unknowns)
+        rate = problem.rate(*problem.unpack(posed.unknowns))
         if plan.grows(rate) and not unstable:
             return Attempt(None, rate, False)
 
@@ -266,7 +266,7 @@ def fit(
         notes = (*notes, *extra_notes(problem, solution.unknowns))
         result = with_integration_error(replace(result, notes=(*result.notes, *notes)), shift)
         doubtful = result.trusted != "white" and strongly_coloured(problem, solution.unknowns)
-        return Attempt(result, problem.rate(solution.unknowns), doubtful)
+        return Attempt(result, problem.rate(*problem.unpack(solution.unknowns)), doubtful)
 
     def settle() -> dict[str, float] | None:
         if (

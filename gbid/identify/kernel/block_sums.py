@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import NamedTuple, Protocol
 
+import numpy as np
+
 from gbid.arrays import FloatArray
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
@@ -54,6 +56,12 @@ class Prediction(NamedTuple):
     states: FloatArray
     errors: FloatArray
     end: FloatArray
+
+    @property
+    def products(self) -> FloatArray:
+        """Products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""
+        e = self.errors.transpose(0, 3, 2, 1)
+        return np.asarray(e @ e.swapaxes(2, 3)).reshape(-1, e.shape[2], e.shape[2])
 
 
 class Adjoint(NamedTuple):
@@ -112,6 +120,10 @@ class PassEngine(Protocol):
 
     def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
         """Return states and errors from starts (n, W), without sensitivities."""
+        ...
+
+    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y), from starts (n, W)."""
         ...
 
     def adjoint(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any, Literal, NamedTuple
 
@@ -127,7 +128,7 @@ class CompiledEngine:
         size = np.ascontiguousarray(blocks.size, np.int64)
         arrays = [*(np.ascontiguousarray(a) for a in v[:8]), root, free, z, blocks.y, blocks.used, size, by_group]
         results = [hessian, products, gradient, gradient_start, mixed, end, end_theta]
-        self._pass(ctypes.c_long(n_groups), ctypes.c_long(length), *(_pointer(a) for a in arrays + results))
+        self._pass(ctypes.c_long(n_groups), ctypes.c_long(length), *(pointer_of(a) for a in arrays + results))
         return BlockSums(
             hessian,
             products,
@@ -140,15 +141,27 @@ class CompiledEngine:
 
     def predict(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> Prediction:
         """Run the state alone; see `PassEngine`."""
-        z = self._fit_for(v, blocks)
-        n_groups, length, _, lanes = z.shape
+        n_groups, length, _, lanes = blocks.y.shape
         n = len(v.F)
         states, errors = np.empty((n_groups, length, n, lanes)), np.empty_like(blocks.y)
         end = np.empty((n_groups, n, lanes))
-        arrays = [*(np.ascontiguousarray(a) for a in v[:4]), z, blocks.y, blocks.used, _by_group(starts)]
-        pointers = (_pointer(a) for a in [*arrays, states, errors, end])
-        self._predict(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        self._errors(v, blocks, starts, [states, errors, end])
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(n, -1))
+
+    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `PassEngine`."""
+        return self._errors(v, blocks, starts, [])
+
+    def _errors(
+        self, v: PredictorValues, blocks: Blocks, starts: FloatArray, results: Sequence[FloatArray]
+    ) -> FloatArray:
+        """Run the state alone, for the products of errors and further results."""
+        z, (n_groups, length, n_y, lanes) = self._fit_for(v, blocks), blocks.y.shape
+        products = np.empty((n_groups, n_y, n_y, lanes))
+        arrays = [*(np.ascontiguousarray(a) for a in v[:4]), z, blocks.y, blocks.used, _by_group(starts)]
+        pointers = [*map(pointer_of, [*arrays, *results]), *[None] * (3 - len(results)), pointer_of(products)]
+        self._predict(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
+        return _per_block(products)
 
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
@@ -161,7 +174,7 @@ class CompiledEngine:
         factors = np.empty((n_groups, length, n + n_y, lanes))
         size = np.ascontiguousarray(blocks.size, np.int64)
         arrays = [np.ascontiguousarray(a) for a in (v.F, v.C, weighted, states)] + [z, size, _by_group(last)]
-        pointers = (_pointer(a) for a in [*arrays, first, factors, sums])
+        pointers = (pointer_of(a) for a in [*arrays, first, factors, sums])
         self._adjoint(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
         return Adjoint(first.transpose(1, 0, 2).reshape(n, -1), sums, factors)
 
@@ -175,7 +188,7 @@ class CompiledEngine:
         n_p, n, _ = v.dF.shape
         products, end_theta = np.empty((factors.shape[2], n_p, n)), np.empty((n_groups, n_p, n, lanes))
         arrays = [*(np.ascontiguousarray(a) for a in (v.F, v.dF, v.dG, states)), z, np.ascontiguousarray(factors)]
-        pointers = (_pointer(a) for a in [*arrays, products, end_theta])
+        pointers = (pointer_of(a) for a in [*arrays, products, end_theta])
         self._second(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
         return Second(products, _per_block(end_theta).transpose(0, 2, 1))
 
@@ -223,5 +236,6 @@ def _per_block(values: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.moveaxis(values, -1, 1)).reshape(-1, *values.shape[1:-1])
 
 
-def _pointer(array: npt.NDArray[np.generic]) -> ctypes.c_void_p:
+def pointer_of(array: npt.NDArray[np.generic]) -> ctypes.c_void_p:
+    """Return the address of an array for C."""
     return ctypes.c_void_p(array.__array_interface__["data"][0])  # half the time of array.ctypes

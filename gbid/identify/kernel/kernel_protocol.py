@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 
 from gbid.arrays import FloatArray
@@ -77,6 +77,10 @@ class Kernel(Protocol):
         """Return the same from the state at the start of each block, (n, W)."""
         ...
 
+    def products(self, v: Any, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""
+        ...
+
     def gradient(
         self, v: Any, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -111,10 +115,11 @@ class Kernel(Protocol):
         """
         ...
 
-    def growth(self, v: Any, blocks: Blocks, sweep: Callable[[], Sweep | None], state_scale: FloatArray) -> float:
+    def growth(self, v: Any, blocks: Blocks, sweep: Sweep | None, state_scale: FloatArray) -> float:
         """Return the growth of a small deviation in a sample; infinite where the predictor overflows.
 
-        `sweep` computes the pass where it is needed, None where it overflows. States are of the order of `state_scale`.
+        `sweep` is the pass, None where it overflows; a linear predictor needs none. States are of the order of
+        `state_scale`.
         """
         ...
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,6 +68,10 @@ class LinearKernel:
     def passed(self, v: PredictorValues, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors from the starts of blocks; see `Kernel`."""
         return self.run.predict(v, blocks, begin)
+
+    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `Kernel`."""
+        return self.run.products(v, blocks, self.begin(v, blocks, starts))
 
     def gradient(
         self, v: PredictorValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
@@ -148,7 +152,7 @@ class LinearKernel:
         self,
         v: PredictorValues,
         blocks: Blocks,  # noqa: ARG002
-        sweep: Callable[[], Sweep | None],  # noqa: ARG002
+        sweep: Sweep | None,  # noqa: ARG002
         state_scale: FloatArray,  # noqa: ARG002
     ) -> float:
         """Return the spectral radius; see `Kernel`."""

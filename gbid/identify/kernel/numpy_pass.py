@@ -58,6 +58,10 @@ class NumpyEngine:
         errors = (blocks.y - v.C @ at - v.H @ z) * blocks.used[:, :, None]
         return Prediction(at, errors, states[-1].transpose(1, 0, 2).reshape(len(v.F), -1))
 
+    def products(self, v: PredictorValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `PassEngine`."""
+        return self.predict(v, blocks, starts).products
+
     def adjoint(
         self, v: PredictorValues, blocks: Blocks, weighted: FloatArray, states: FloatArray, last: FloatArray
     ) -> Adjoint:

@@ -282,27 +282,32 @@ void gbid_pass(long groups, long length,
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }}
 
-/* States and errors alone, from given starts. */
+/* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
 void gbid_predict(long groups, long length,
                   const double *restrict F, const double *restrict G, const double *restrict C,
                   const double *restrict H, const double *restrict zs, const double *restrict ys,
                   const double *restrict used, const double *restrict starts,
-                  double *restrict states, double *restrict errors, double *restrict end) {{
+                  double *restrict states, double *restrict errors, double *restrict end, double *restrict products) {{
   const v zero = {{0}};
   (void)G; (void)H;
   for (long b = 0; b < groups; b++) {{
-    v x[N], nx[N], e[NY];
+    v x[N], nx[N], e[NY], ee[NY*NY];
     for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int i = 0; i < NY*NY; i++) ee[i] = zero;
     for (long k = 0; k < length; k++) {{
       const u *z = (const u *)(zs + (b*length + k)*NZ*8);
       const u *y = (const u *)(ys + (b*length + k)*NY*8);
       const v m = *(const u *)(used + (b*length + k)*8);
 {PREDICT}
-      for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
-      for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      if (states) {{
+        for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
+        for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
+      }}
+      for (int i = 0; i < NY; i++) for (int j = 0; j < NY; j++) ee[i*NY + j] += e[i]*e[j];
       for (int c = 0; c < N; c++) x[c] = nx[c];
     }}
-    for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    if (states) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    for (int i = 0; i < NY*NY; i++) *(u *)(products + (b*NY*NY + i)*8) = ee[i];
   }}
 }}
 

@@ -81,6 +81,8 @@ class Iterate(NamedTuple):
         Factor from the sums of a sweep to the scale of the cost.
     extra_rows, extra_slopes : (n_rows,) and (n_rows, n_used) array
         Constraints of the caller and their derivatives by the unknowns that they use.
+    rate : float
+        Largest growth of a small deviation in a sample; infinite where the predictor overflows.
     """
 
     cost: float
@@ -92,6 +94,7 @@ class Iterate(NamedTuple):
     factor: float
     extra_rows: FloatArray = np.zeros(0)
     extra_slopes: FloatArray = np.zeros((0, 0))
+    rate: float = np.inf
 
 
 class GroupGradient(NamedTuple):

@@ -7,15 +7,15 @@ Unknowns and constraints are scaled to the order of one. One pass over the sampl
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
+from functools import cached_property
+from itertools import repeat
 from typing import Any, Literal
 
 import numpy as np
 
 from gbid.arrays import FloatArray, IntArray
-from gbid.identify.kernel.growth import spectral_radius
 from gbid.identify.kernel.sweep import Sweep, tied
 from gbid.identify.nlp.extra_terms import ExtraTerms, PlacedTerms
 from gbid.identify.nlp.patterns import (
@@ -138,13 +138,15 @@ class Shooting:
 
     def valid_values(self, theta: FloatArray) -> list[Any] | None:
         """Return the predictors of all parts; None beyond the bounds of tied parameters, or for an unstable one."""
-        if not all(part.within_bounds(theta) for part in self.parts):
-            return None
         values = self.values(theta)
-        return None if self._watched and self._linear(values) and spectral_radius(values) > 1 else values
+        return None if self._refused(theta, self._rate_alone(values)) else values
 
-    def _linear(self, values: list[Any]) -> bool:  # others grow only in a pass
-        return isinstance(values[0], PredictorValues)
+    def _rate_alone(self, values: list[Any]) -> float:
+        """Return the growth of linear predictors; NaN for others, which grow only in a pass."""
+        return self.growth(values, ()) if isinstance(values[0], PredictorValues) else np.nan
+
+    def _refused(self, theta: FloatArray, rate: float) -> bool:
+        return (self._watched and rate > 1) or not all(part.within_bounds(theta) for part in self.parts)
 
     def sweeps(self, values: list[Any], starts: FloatArray, weight: FloatArray) -> list[Sweep]:
         """Return the sums of one pass over every part, for window starts (n_windows, n)."""
@@ -160,7 +162,8 @@ class Shooting:
 
     def error_products(self, values: list[Any], starts: FloatArray) -> FloatArray:
         """Return ``sum e e'`` over all parts, (n_y, n_y)."""
-        return np.asarray(sum(np.einsum("gkyw,gkzw->yz", e, e, optimize=True) for e in self.errors(values, starts)))
+        each = self._each(values, starts)
+        return np.asarray(sum(part.kernel.products(v, part.blocks, own).sum(axis=0) for v, part, own in each))
 
     def weight(self, error_products: FloatArray) -> FloatArray:
         """Return the weight of the squared errors in gradient and Hessian of the cost, from ``sum e e'``."""
@@ -180,10 +183,14 @@ class Shooting:
         return 0.5 * float(np.linalg.slogdet((error_products + np.diag(self._floors)) * np.outer(units, units))[1])
 
     def at(self, unknowns: FloatArray) -> Iterate:
-        """Return the values at a point; those of the last two points are stored."""
-        key = unknowns.tobytes()
+        """Return the values at a point."""
+        return self.of(*self.unpack(unknowns))
+
+    def of(self, theta: FloatArray, starts: FloatArray) -> Iterate:
+        """Return the values at a point in physical units; those of the last two points are stored."""
+        key = theta.tobytes() + starts.tobytes()
         if key not in self._last:
-            self._last[key] = self._evaluate(unknowns)
+            self._last[key] = self._evaluate(theta, starts)
             if len(self._last) > 2:
                 self._last.pop(next(iter(self._last)))
         return self._last[key]
@@ -202,18 +209,15 @@ class Shooting:
         pairs = ((part.predictor, part.own(theta)) for part in self.parts)
         return (self._watched and isinstance(p, Predictor) and near_instability(p, own, EDGE) for p, own in pairs)
 
-    def rate(self, unknowns: FloatArray) -> float:
-        """Return the largest growth of a small deviation in a sample, over all parts."""
-        return self.growth(self.values(self.unpack(unknowns)[0]), lambda: self.at(unknowns).sweeps)
+    def rate(self, theta: FloatArray, starts: FloatArray) -> float:
+        """Return the growth of a small deviation in a sample at a point; for linear predictors without a pass."""
+        alone = self._rate_alone(self.values(theta))
+        return self.of(theta, starts).rate if np.isnan(alone) else alone
 
-    def growth(self, values: list[Any], sweeps: Callable[[], Sequence[Sweep]]) -> float:
-        """Return the same from a pass, which not all kernels need."""
-
-        def own(i: int) -> Sweep | None:
-            return sweeps()[i] if sweeps() else None
-
-        each = enumerate(zip(self.parts, values, strict=True))
-        return max(p.kernel.growth(v, p.blocks, partial(own, i), self.state_scale) for i, (p, v) in each)
+    def growth(self, values: list[Any], sweeps: Sequence[Sweep]) -> float:
+        """Return the largest growth of a small deviation in a sample, over all parts; of some kernels from a pass."""
+        each = zip(self.parts, values, sweeps or repeat(None), strict=False)
+        return max(part.kernel.growth(v, part.blocks, own, self.state_scale) for part, v, own in each)
 
     @cached_property
     def limits(self) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -268,12 +272,12 @@ class Shooting:
         scales = self.theta_scale, self.state_scale, self.likelihood_size
         return None if self.extra is None else PlacedTerms.among(self.extra, *scales)
 
-    def _evaluate(self, unknowns: FloatArray) -> Iterate:
+    def _evaluate(self, theta: FloatArray, starts: FloatArray) -> Iterate:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # a bad trial point: the solver steps back
-            theta, starts = self.unpack(unknowns)
-            values = self.valid_values(theta)
-            if values is None:
-                return self._invalid()
+            values = self.values(theta)
+            rate = self._rate_alone(values)
+            if self._refused(theta, rate):
+                return self._invalid(rate)
             if self.criterion == "trace":  # the weight is one factor, applied after the pass
                 W = np.diag(self.output_weights)
                 sweeps = self.sweeps(values, starts, W / self._power)
@@ -282,11 +286,12 @@ class Shooting:
             else:
                 products = self.error_products(values, starts)
                 if not np.isfinite(products).all():
-                    return self._invalid()
+                    return self._invalid(rate)
                 sweeps, factor = self.sweeps(values, starts, self.weight(products)), 1.0
-            if self._watched and not self._linear(values) and self.growth(values, lambda: sweeps) > 1:
-                return self._invalid()
-            return self._assembled(theta, starts, sweeps, products, factor)
+            rate = self.growth(values, sweeps) if np.isnan(rate) else rate
+            if self._refused(theta, rate):
+                return self._invalid(np.inf)
+            return self._assembled(theta, starts, sweeps, products, factor)._replace(rate=rate)
 
     def _assembled(
         self, theta: FloatArray, starts: FloatArray, sweeps: list[Sweep], products: FloatArray, factor: float
@@ -333,16 +338,13 @@ class Shooting:
         block of parameters and window starts, and `starts` (n_windows, n, n) that of the window starts.
         """
         rows, columns = np.triu_indices(self.n_states)
-        arrow = [
-            entries
-            for m, own in zip(mixed, starts, strict=True)
-            for entries in (m.ravel(), own[:, rows, columns].ravel())
-        ]
+        each = zip(mixed, starts, strict=True)
+        arrow = [entries for m, own in each for entries in (m.ravel(), own[:, rows, columns].ravel())]
         flat, order = np.concatenate([theta[self._theta_pairs], *arrow]), self.hessian_pattern.order
         return np.asarray(np.pad(flat, (0, len(order) - len(flat)))[order] if self.extra else flat[order])
 
-    def _invalid(self) -> Iterate:
+    def _invalid(self, rate: float) -> Iterate:
         sizes = (self.n_unknowns, self.n_gaps, len(self.jacobian_pattern.rows), len(self.hessian_pattern.rows))
         gradient, gaps, jacobian, hessian = (np.full(size, np.nan) for size in sizes)
-        found = Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan)
+        found = Iterate(np.nan, gradient, gaps, jacobian, hessian, (), np.nan, rate=np.inf if np.isnan(rate) else rate)
         return found if self.placed is None else self.placed.without_value(found)

@@ -166,7 +166,7 @@ class Watch(ca.Callback):
         return self.rest[1] < _STEP_AHEAD
 
     def _radius(self, x: FloatArray) -> float:
-        return self._problem.rate(x)
+        return self._problem.at(x).rate
 
 
 def _iterations_ahead(sigma: float, before: float) -> float:

@@ -159,25 +159,27 @@ void gbid_sums(long groups, long length, long steps, const double *theta, const 
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }
 
-/* States and errors alone, from given starts. */
+/* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
 void gbid_passed(long groups, long length, long steps, const double *theta, const double *known, const double *zs,
                  const double *ys, const double *used, const double *starts, double *states, double *errors,
-                 double *end) {
+                 double *end, double *products) {
   point p;
   point_of(&p, theta, known, steps);
   for (long b = 0; b < groups; b++) {
-    v x[N], yhat[NY], z[NZ];
+    v x[N], yhat[NY], z[NZ], e[NY], ee[NY*NY];
     for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int i = 0; i < NY*NY; i++) ee[i] = all(0.0);
     for (long k = 0; k < length; k++) {
       const v m = *(const u *)(used + (b*length + k)*8);
       for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
-      for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
+      if (states) for (int c = 0; c < N; c++) *(u *)(states + ((b*length + k)*N + c)*8) = x[c];
       onwards(&p, x, z, yhat);
-      for (int j = 0; j < NY; j++)
-        *(u *)(errors + ((b*length + k)*NY + j)*8) =
-            kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, m != 0.0);
+      for (int j = 0; j < NY; j++) e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, m != 0.0);
+      for (int a = 0; a < NY; a++) for (int c = 0; c < NY; c++) ee[a*NY + c] += e[a]*e[c];
+      if (states) for (int j = 0; j < NY; j++) *(u *)(errors + ((b*length + k)*NY + j)*8) = e[j];
     }
-    for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    if (states) for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+    for (int i = 0; i < NY*NY; i++) *(u *)(products + (b*NY*NY + i)*8) = ee[i];
   }
 }
 

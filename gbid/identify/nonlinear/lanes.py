@@ -16,6 +16,7 @@ from gbid.compiling import load_library
 from gbid.errors import UsageError
 from gbid.identify.kernel.block_sums import BlockSums, Prediction
 from gbid.identify.kernel.blocks import LANES, Blocks
+from gbid.identify.kernel.engine import pointer_of
 from gbid.identify.nonlinear.lane_functions import LANE_TYPES, lane_source
 from gbid.identify.nonlinear.lane_products import product_source
 from gbid.identify.nonlinear.nonlinear_kernel import SampleSums
@@ -66,13 +67,24 @@ class LanesRunner:
 
     def passed(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> Prediction:
         """Return states and errors; see `SampleRunner`."""
-        z = self._z(v, blocks)
-        n_groups, length, _, lanes = z.shape
+        n_groups, length, _, lanes = blocks.y.shape
         states, errors = np.empty((n_groups, length, self._n, lanes)), np.empty_like(blocks.y)
         end = np.empty((n_groups, self._n, lanes))
-        arrays = [z, blocks.y, blocks.used, _by_group(begin), states, errors, end]
-        self._call("passed", v, n_groups, length, arrays)
+        self._passed(v, blocks, begin, [states, errors, end])
         return Prediction(states, errors, end.transpose(1, 0, 2).reshape(self._n, -1))
+
+    def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `SampleRunner`."""
+        return self._passed(v, blocks, begin, [])
+
+    def _passed(
+        self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, results: Sequence[FloatArray]
+    ) -> FloatArray:
+        n_groups, length, n_y, lanes = blocks.y.shape
+        products = np.empty((n_groups, n_y, n_y, lanes))
+        arrays = [self._z(v, blocks), blocks.y, blocks.used, _by_group(begin)]
+        self._call("passed", v, n_groups, length, [*arrays, *results, *[None] * (3 - len(results)), products])
+        return _per_block(products)
 
     def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
         """Return the sums of a pass with sensitivities; see `SampleRunner`."""
@@ -133,10 +145,12 @@ class LanesRunner:
             raise UsageError(f"the compiled pass needs {LANES} blocks in a group, not {blocks.lanes}")
         return blocks.z(v.shift)
 
-    def _call(self, name: str, v: NonlinearValues, count: int, length: int, arrays: Sequence[npt.NDArray[Any]]) -> None:
+    def _call(
+        self, name: str, v: NonlinearValues, count: int, length: int, arrays: Sequence[npt.NDArray[Any] | None]
+    ) -> None:
         given = [np.ascontiguousarray(v.theta), np.ascontiguousarray(v.known), *arrays]
         numbers = (ctypes.c_long(number) for number in (count, length, v.steps))
-        getattr(self._library, f"gbid_{name}")(*numbers, *(ctypes.c_void_p(array.ctypes.data) for array in given))
+        getattr(self._library, f"gbid_{name}")(*numbers, *(None if a is None else pointer_of(a) for a in given))
 
 
 @lru_cache(maxsize=32)

@@ -89,6 +89,10 @@ class MappedRunner:
             errors[k] = _counted(used[k], (y[k] - yhat) * used[k])
         return Prediction(_grouped(states, blocks), _grouped(errors, blocks), x[:, 0].T)
 
+    def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `SampleRunner`."""
+        return self.passed(v, blocks, begin).products
+
     def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
         """Return the sums of a pass with sensitivities; see `SampleRunner`."""
         n, n_p, width = self._n, self._n_p, len(blocks.size)

@@ -47,6 +47,10 @@ class SampleRunner(Protocol):
         """Return states and errors from the starts of the blocks, (n, W)."""
         ...
 
+    def products(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray) -> FloatArray:
+        """Return the products ``sum e e'`` of the errors of each block, (W, n_y, n_y)."""
+        ...
+
     def sums(self, v: NonlinearValues, blocks: Blocks, begin: FloatArray, root: FloatArray) -> SampleSums:
         """Return the sums of a pass with sensitivities, for the weight ``root' root``."""
         ...
@@ -113,6 +117,10 @@ class NonlinearKernel:
         """Return states and errors from the starts of blocks; see `Kernel`."""
         return self.run.passed(v, blocks, begin)
 
+    def products(self, v: NonlinearValues, blocks: Blocks, starts: FloatArray) -> FloatArray:
+        """Return the products of the errors of each block; see `Kernel`."""
+        return self.run.products(v, blocks, self.begin(v, blocks, starts))
+
     def gradient(
         self, v: NonlinearValues, blocks: Blocks, starts: FloatArray, ends: FloatArray, weight: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
@@ -144,14 +152,13 @@ class NonlinearKernel:
         self,
         v: NonlinearValues,  # noqa: ARG002
         blocks: Blocks,
-        sweep: Callable[[], Sweep | None],
+        sweep: Sweep | None,
         state_scale: FloatArray,
     ) -> float:
         """Return the growth along the trajectory of the segment with the largest one; see `Kernel`."""
-        found = sweep()
-        if found is None:
+        if sweep is None:
             return np.inf
-        by_start = found.end_start / state_scale[:, None] * state_scale
+        by_start = sweep.end_start / state_scale[:, None] * state_scale
         window = blocks.length * blocks.per_window
         pieces = np.split(by_start, blocks.segment_first[1:])
         return max(growth_along(piece, window * len(piece)) for piece in pieces)

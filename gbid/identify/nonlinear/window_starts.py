@@ -48,8 +48,7 @@ def window_starts(
     """
 
     def squares(starts: FloatArray) -> FloatArray:
-        errors = kernel.predict(v, blocks, starts).errors
-        by_block = np.einsum("gkyl,yz,gkzl->gl", errors, weight, errors, optimize=True).ravel()
+        by_block = np.tensordot(kernel.products(v, blocks, starts), weight, 2)
         total = np.add.reduceat(by_block[: blocks.n_blocks], blocks.window_first)
         return np.where(np.isfinite(total), total, np.inf)
 

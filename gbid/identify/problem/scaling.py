@@ -82,7 +82,7 @@ def build_problem(
     if not scaling:
         theta_scale, state_scale = ones, np.ones(n)
     problem = replace(problem, theta_scale=theta_scale, state_scale=state_scale, _last={}, _met={})
-    return replace(problem, stable_only=problem.growth(values, lambda: sweeps) <= 1), problem.pack(theta, starts)
+    return replace(problem, stable_only=problem.growth(values, sweeps) <= 1), problem.pack(theta, starts)
 
 
 def _sizes_of_states(problem: Shooting, values: list[Any], starts: FloatArray) -> FloatArray:

@@ -221,5 +221,5 @@ def information_by_windows(
 def grows(problem: Shooting, theta: FloatArray, starts: FloatArray) -> bool:
     """Return whether the model grows so much over a record that sensitivities have to be taken by windows."""
     longest = max(segment.outputs.shape[0] for part in problem.parts for segment in part.blocks.segments)
-    rate = problem.rate(problem.pack(theta, starts))
+    rate = problem.rate(theta, starts)
     return bool(np.log(max(rate, np.finfo(float).tiny)) * longest > np.log(_GROWTH))
