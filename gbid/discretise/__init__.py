@@ -7,6 +7,7 @@ from gbid.discretise.hold import Discrete, Hold, check_holds, discretise, hold_r
 from gbid.discretise.look_ahead import look_ahead
 from gbid.discretise.one_step import IntegratorName, one_step
 from gbid.discretise.propagate import propagate
+from gbid.discretise.step_inputs import step_inputs
 
 __all__ = [
     "Discrete",
@@ -26,4 +27,5 @@ __all__ = [
     "propagate",
     "side_by_side",
     "squarings_for",
+    "step_inputs",
 ]

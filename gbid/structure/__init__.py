@@ -5,8 +5,9 @@ from gbid.structure.delay import pade_delay
 from gbid.structure.linear import LinearStructure, Matrices, Structure, as_names, evaluate, symbolic_matrices
 from gbid.structure.loop.closed_loop import ClosedLoop
 from gbid.structure.model_functions import ModelFunctions, casadi_functions
+from gbid.structure.nonlinear.at_values import nonlinear_model
 from gbid.structure.nonlinear.equations import symbolic_equations
-from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
+from gbid.structure.nonlinear.nonlinear_model import NonlinearModel
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.frequency_grid import frequency_grid
 from gbid.structure.numeric.linear_model import LinearModel

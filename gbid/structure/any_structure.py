@@ -8,9 +8,10 @@ from typing import NamedTuple
 import casadi as ca
 
 from gbid.structure.linear import Structure, evaluate, symbolic_matrices
+from gbid.structure.nonlinear.at_values import nonlinear_model
 from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.film_bearing import film_bearing
-from gbid.structure.nonlinear.nonlinear_model import NonlinearModel, nonlinear_model
+from gbid.structure.nonlinear.nonlinear_model import NonlinearModel
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.rotor_bearing import RotorBearing
@@ -72,6 +73,7 @@ def anatomy(
         n_u = e.u.numel()
         at = ca.vertcat(*(e.u[i] if driven is None or i in driven else ca.SX(0) for i in range(n_u)))
         acting = ca.substitute([e.dx, e.y], [e.u], [at]) if n_u else [e.dx, e.y]
+        acting = [*acting, e.delay[list(range(n_u)) if moving is None else list(moving), :]]
         only = _names([e.K]) - _names([*acting, e.x0])
         return Anatomy(e.x.numel(), n_u, _names([*acting, e.K]), _by_row(e.x0), e.K.nnz() > 0, only)
     _, m = symbolic_matrices(structure)

@@ -108,24 +108,34 @@ def _of_nonlinear(
     own = symbolic_equations(structure)
     if steps is None:
         steps = first_steps(structure, _numbers(structure, values), sample_time, own)
-    u, y, e = ca.SX.sym("u", own.u.numel(), 2), ca.SX.sym("y", own.y.numel()), ca.SX.sym("e", own.y.numel())
-    derivative = own.dx + own.K @ e
+    n_u, holds = own.u.numel(), check_holds(hold, own.u.numel())
+    whole = [0] * n_u  # samples in the delay of each input
+    if own.delayed:
+        delays = ca.Function("d", [own.p], [ca.densify(own.delay)])(_numbers(structure, values))
+        whole = [int(shift) for shift in np.floor(np.array(delays, float).ravel() / sample_time)]
+    early = [own.delay[i] / sample_time - whole[i] if i in own.delayed else None for i in range(n_u)]
+    lags = max((whole[i] + 1 for i in own.delayed), default=0)
+    u, y, e = ca.SX.sym("u", n_u, lags + 2), ca.SX.sym("y", own.y.numel()), ca.SX.sym("e", own.y.numel())
+    derivative, late, point = own.dx + own.K @ e, ca.SX.sym("u_delayed", n_u), [own.x, own.u]
+    if own.delayed:
+        taken = ca.vertcat(*(late[i] if i in own.delayed else own.u[i] for i in range(n_u)))
+        (derivative,), point = ca.substitute([derivative], [own.u], [taken]), [own.x, own.u, late]
     (output,) = ca.substitute([own.y], [own.u], [u[:, 1]])
-    held = ca.DM([float(each == "zoh") for each in check_holds(hold, own.u.numel())])
-    ends = u[:, 1], u[:, 1] + (u[:, 0] - u[:, 1]) * (1 - held)
+    around = [u[i, whole[i] : whole[i] + 3] if i in own.delayed else ca.horzcat(u[i, :2], 0) for i in range(n_u)]
 
     def after(error: ca.SX) -> ca.SX:
         at, under = ca.SX.sym("at", own.x.numel()), ca.SX.sym("under", own.u.numel())  # `error` is that at the sample
         (there,) = ca.substitute([own.dx], [ca.vertcat(own.x, own.u)], [ca.vertcat(at, under)])
         f = ca.Function("f", [at, under], [ca.densify(there + own.K @ error)], {"allow_free": True})
-        return over_a_sample(structure.integrator, f, own.x, ends, ca.SX(sample_time), steps)
+        taps = ca.vertcat(*around) if around else ca.SX(0, 3)
+        return over_a_sample(structure.integrator, f, own.x, taps, holds, early, ca.SX(sample_time), steps)
 
     return _named(
         structure,
-        ([own.x, own.u, e, own.p], [derivative, own.y + e]),
+        ([*point, e, own.p], [derivative, own.y + e]),
         ([own.x, u, own.p], [after(ca.SX(own.y.numel(), 1)), output]),
         ([own.x, u, y, own.p], [after(y - output), output]),
-        0,
+        lags,
     )
 
 

@@ -61,7 +61,7 @@ class RotorBearing(Brief):
     Raises
     ------
     UsageError
-        When an option is unknown, or for exact delays with a film that stiffens.
+        When an option is unknown.
     """
 
     pade_order: int = 1
@@ -88,8 +88,6 @@ class RotorBearing(Brief):
             )
         if self.film not in ("linear", "stiffening"):
             raise UsageError(f"{self.name}: film = {self.film!r}; choose 'linear' or 'stiffening'")
-        if self.film == "stiffening" and self.delay == "exact":
-            raise UsageError(f"{self.name}: film='stiffening' needs delays as filters; use pade_order=2 for accuracy")
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:

@@ -26,6 +26,11 @@ def _made(dynamics, output=lambda x, u, p: x[0], parameters=K, **more):
         (_made(lambda x, u, p: [x[1], -p.k * x[0] + ca.SX.sym("w")]), "symbols that are none of its own: w"),
         (_made(lambda x, u, p: [x[1], -p.k * x[0]], lambda x, u, p: x), "output.* returns 2 expressions"),
         (_made(lambda x, u, p: [x[1], -p.k * x[0]], disturbance_gain=lambda p: [p.k]), r"has shape \(1, 1\), expected"),
+        (
+            _made(lambda x, u, p: [x[1], u[0]], delay=lambda p: [p.k, 0]),
+            r"delay\(p\) returns 2 expressions, one",
+        ),
+        (_made(lambda x, u, p: [x[1], u[0]], lambda x, u, p: u[0], delay=lambda p: p.k), "output contains the delayed"),
         (_made(lambda x, u, p: [x[1], u[0] - x[0]]), "equations do not contain the parameter k"),
         (_made(lambda x, u, p: [x[1], u[0] - p.k * ca.log(-1 - x[0] ** 2)]), "equations have no finite value"),
     ],
@@ -41,6 +46,7 @@ def test_what_is_wrong_with_the_equations_is_named(structure, text):
         ({"integrator": "euler"}, "integrator = 'euler'; choose 'rk4' or 'implicit'"),
         ({"steps": 0}, "steps = 0; give 'auto' or a number from 1 to 256"),
         ({"disturbance_gain": [[1.0], [0.0]]}, "disturbance_gain = .* is no function"),
+        ({"delay": 0.1}, "delay = 0.1 is no function"),
     ],
 )
 def test_options_of_a_structure_are_checked(change, text):

@@ -12,17 +12,19 @@ from gbid.identify.kernel.kernel_protocol import Kernel
 from gbid.identify.nonlinear.nonlinear_predictor import build_nonlinear_predictor
 from gbid.identify.nonlinear.runner import choose_runner
 
-AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2}
+AT = {"k": 90.0, "c": 4.0, "tau": 0.03, "g": 2.0, "start": 0.2, "lag": 0.053}
 STEPS, LENGTH, WINDOWS = 3, 7, 10
 STRUCTURE = NonlinearStructure(
     "all_kinds_of_terms",
     [Parameter(name, value) for name, value in AT.items()],
     ["x", "v", "late"],
-    lambda x, u, p: [x[1], -p.k * x[0] - p.c * x[0] ** 3 * ca.cos(x[2]) + x[2], (u[0] - x[2]) / p.tau],
+    lambda x, u, p: [x[1], -p.k * x[0] - p.c * x[0] ** 3 * ca.cos(x[2]) + x[2], (u[0] - x[2]) / p.tau + u[1]],
     lambda x, u, p: [x[0] + 0.1 * x[1] * u[0], p.k * x[2]],
-    outputs=["a", "b"],
+    ["u", "later"],
+    ["a", "b"],
     intersample="foh",
     disturbance_gain=lambda p: [[p.g, 0], [0, 1], [0, p.g]],
+    delay=lambda p: [0, p.lag],
     steps=STEPS,
     x0=lambda p: [p.start, 0, 0],
 )
@@ -36,7 +38,7 @@ def case():
         STRUCTURE, {}, AT, 0.02, "foh", "prediction", disturbances=disturbances, released=(True, False, False)
     )
     n = LENGTH * WINDOWS
-    segment = Segment(0.1 * rng.normal(size=(n, 1)), 0.1 * rng.normal(size=(n, 2)))
+    segment = Segment(0.1 * rng.normal(size=(n, 2)), 0.1 * rng.normal(size=(n, 2)))
     blocks = cut([segment], predictor, LENGTH)
     values = predictor.at(np.array([AT.get(q.name, 0.01) for q in predictor.free]))
     return predictor, values, blocks, 0.1 * rng.normal(size=(WINDOWS, 3))
@@ -47,7 +49,7 @@ def through_all_steps(predictor, values, blocks, start, window):
     functions, (group, lane) = predictor.functions, divmod(window, blocks.lanes)
     theta, x = ca.SX.sym("theta", len(values.theta)), ca.SX.sym("x", 3)
     at, found = x, []
-    for z in blocks.z(())[group, :, :, lane]:
+    for z in blocks.z(values.shift)[group, :, :, lane]:
         at, yhat, e = functions.output(at, z, theta, values.known)
         for s in range(STEPS):
             at = functions.step(at, z, e, theta, values.known, s / STEPS, 1 / STEPS)

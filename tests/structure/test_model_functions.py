@@ -6,7 +6,7 @@ from nonlinear_cases import DUFFING, DUFFING_TRUTH, LINEAR_TRUTH, SAME
 
 import gbid
 from gbid.errors import UsageError
-from gbid.structure import evaluate, nonlinear_model
+from gbid.structure import equations_of, evaluate, nonlinear_model
 
 
 def _run(functions, u, y, p):
@@ -59,6 +59,22 @@ def test_functions_of_a_nonlinear_structure_are_its_model(hold):
         simulated, predicted = _run(functions, u, y, [values[name] for name in functions.parameters])
         np.testing.assert_allclose(simulated, model.simulate(u, 0.05, intersample=hold), rtol=1e-10, atol=1e-13)
         np.testing.assert_allclose(predicted, model.predict(u, y, 0.05, intersample=hold), rtol=1e-10, atol=1e-13)
+
+
+@pytest.mark.parametrize("hold", ["zoh", "foh"])
+def test_functions_of_a_nonlinear_structure_with_exact_delays_are_its_model(hold):
+    structure, h, (u, y) = gbid.RotorBearing(film="stiffening", delay="exact"), 2e-4, _signals(2, 2)
+    key = gbid.load_model("theisen2016").key_parameters(5.0, 6000.0)
+    values = {q.name: key.get(q.name, 1.0) for q in structure.parameters} | {"tau_x": 3.3 * h}
+    functions = gbid.casadi_functions(structure, h, values={**values, "tau_x": 3.6 * h}, intersample=hold, steps=2)
+    model = nonlinear_model(equations_of(structure), values, steps=2)
+    simulated, predicted = _run(functions, u, y, [values[name] for name in functions.parameters])
+    np.testing.assert_allclose(simulated, model.simulate(u, h, intersample=hold), rtol=1e-9, atol=1e-13)
+    np.testing.assert_allclose(predicted, model.predict(u, y, h, intersample=hold), rtol=1e-9, atol=1e-12)
+    p = [values[q] for q in functions.parameters]
+    now = functions.continuous(x=[0.1, 0.2, 0, 0], u=9.0, u_delayed=[0.3, 0.4], p=p)
+    wanted = model.function([0.1, 0.2, 0, 0], [0.3, 0.4], model.parameters)[0]
+    np.testing.assert_allclose(now["dx"], wanted, rtol=1e-12)
 
 
 def test_continuous_functions_have_the_same_form_for_both_kinds():

@@ -45,10 +45,12 @@ def mass_recording(seed: int, n: int = 1200) -> Recording:
     u = np.cumsum(rng.normal(size=(n, 1)), axis=0) * 0.1
     e, y = 0.002 * rng.normal(size=(n, 1)), np.zeros((n, 1))
     model, x = nonlinear_model(SAME["nonlinear"], LINEAR_TRUTH, steps=16), np.zeros(2)
-    step = model.step_function(feeds_back=True)
+    step = model.step_function(["foh"], feeds_back=True)
     for k in range(n):
         y[k] = x[0] + e[k]
-        x = np.array(step(x, u[k], u[min(k + 1, n - 1)], y[k], model.parameters, 0.02)[0], float).ravel()
+        x = np.array(
+            step(x, np.array([[u[min(k + 1, n - 1), 0], u[k, 0], 0.0]]), y[k], model.parameters, 0.02)[0], float
+        ).ravel()
     return Recording({"u": u, "y": y}, 0.02, name=f"mass {seed}")
 
 

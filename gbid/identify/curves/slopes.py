@@ -9,6 +9,7 @@ import numpy as np
 from gbid.arrays import FloatArray, IntArray
 from gbid.discretise import Dual
 from gbid.identify.curves.uncertain_model import ModelSlopes
+from gbid.identify.nonlinear.nonlinear_predictor import NonlinearPredictor
 from gbid.identify.predictor import Predictor
 
 
@@ -45,10 +46,14 @@ def model_slopes(predictor: Predictor, theta: FloatArray, index: IntArray) -> Mo
     )
 
 
-def nonlinear_slopes(matrices: Sequence[Dual], n_free: int, index: IntArray) -> ModelSlopes:
-    """Return the same for A, B, C and D of a linearised model, without delays."""
-    A, B, C, D = (_among_all(m.slope, n_free, index) for m in matrices)
-    return ModelSlopes(A, B, C, D, np.zeros_like(B), np.zeros((n_free, B.shape[2])))
+def nonlinear_slopes(
+    matrices: Sequence[Dual], predictor: NonlinearPredictor, theta: FloatArray, index: IntArray
+) -> ModelSlopes:
+    """Return the same for A, B, C and D of a linearised model; all inputs are in B."""
+    A, B, C, D = (_among_all(m.slope, len(theta), index) for m in matrices)
+    late = np.isin(np.arange(B.shape[2]), predictor.delayed)
+    delay = _among_all(predictor.delay_slopes(theta[index]), len(theta), index)
+    return ModelSlopes(A, np.where(late, 0.0, B), C, D, np.where(late, B, 0.0), delay)
 
 
 def _among_all(slope: FloatArray, n_free: int, index: IntArray) -> FloatArray:

@@ -30,11 +30,11 @@ class NonlinearValues(NamedTuple):
     theta : (n_p,) array
         Free parameters.
     known : (n_known,) array
-        All other parameters, and the sample time.
+        All other parameters, the whole samples in delays, and the sample time.
     steps : int
         Steps of the integrator in a sample.
-    shift : tuple
-        Whole samples in delays: there are none.
+    shift : tuple of int
+        Whole samples in the delay of each delayed input; these determine the regressors.
     """
 
     theta: FloatArray
@@ -52,7 +52,7 @@ class NonlinearPredictor(GeneralPredictor):
     functions : SampleFunctions
         Functions of one sample.
     known : (n_known,) array
-        Parameters that are not free, and the sample time.
+        Parameters that are not free, the whole samples in delays, and the sample time.
     steps : int
         Steps of the integrator in a sample.
     adapts : bool
@@ -67,10 +67,31 @@ class NonlinearPredictor(GeneralPredictor):
     adapts: bool
     jumps: tuple[str, ...]
     _x0: ca.Function
+    _delay: ca.Function
 
     def at(self, theta: FloatArray) -> NonlinearValues:
-        """Return the predictor at values of the free parameters, shape (n_free,)."""
-        return NonlinearValues(np.array(theta, float), self.known, self.steps)
+        """Return the predictor at values of the free parameters, shape (n_free,).
+
+        Raises
+        ------
+        UsageError
+            When a delay is negative.
+        """
+        theta = np.array(theta, float)
+        if not self.delayed:
+            return NonlinearValues(theta, self.known, self.steps)
+        delays = np.asarray(self._delay(theta, self.known)[0], float).ravel()
+        if (delays < 0).any():
+            raise UsageError(f"delay = {delays.min():g} s; it must not be negative")
+        known, shift = self.known.copy(), np.floor(delays / self.sample_time)
+        known[-1 - len(shift) : -1] = shift
+        return NonlinearValues(theta, known, self.steps, tuple(int(each) for each in shift))
+
+    def delay_slopes(self, theta: FloatArray) -> FloatArray:
+        """Return the derivatives of the delays of all inputs by the free parameters, (n_free, n_inputs)."""
+        slopes = np.zeros((len(self.free), self.n_inputs))
+        slopes[:, list(self.delayed)] = np.asarray(self._delay(theta, self.known)[1], float).T
+        return slopes
 
     def released_state(self, theta: FloatArray) -> FloatArray:
         """Return the initial state as a function of the parameters, (n_states,); zero where it is not."""
@@ -106,7 +127,7 @@ def build_nonlinear_predictor(
     K = own.K if focus == "prediction" else ca.SX(n, n_y)
     x0 = own.x0 if len(released) and own.x0.numel() else ca.SX(n, 1)
     x0 = ca.diag(ca.SX([float(each) for each in released] or [0.0] * n)) @ x0
-    seen = names_in(ca.veccat(own.dx, own.y, K, x0))
+    seen = names_in(ca.veccat(own.dx, own.y, K, x0, own.delay))
     nowhere = {q.name for q in structure.parameters} - seen - names_in(own.K) - names_in(own.x0) - set(fixed)
     if nowhere:
         raise UsageError(
@@ -124,18 +145,21 @@ def build_nonlinear_predictor(
     )
     others = [q.name for q in structure.parameters if q not in free]
     theta = ca.vertcat(*(symbols[q.name] for q in free), gain_symbols, coefficients)
-    known = ca.vertcat(*(symbols[name] for name in others), ca.SX.sym("sample_time"))
+    h, shift = ca.SX.sym("sample_time"), ca.SX.sym("shift", len(own.delayed))
+    known = ca.vertcat(*(symbols[name] for name in others), shift, h)
     walking = disturbances.walking
     onto = ca.SX(len(walking), n_y)
     for row, output in enumerate(walking):
         onto[row, output] = gain_symbols[row] if gains else 0
     holds = check_holds(intersample, own.u.numel())
     acting = names_in(ca.veccat(own.dx, own.y))
-    prompt = tuple(i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting)
+    acts = [i for i, symbol in enumerate(_each(own.u)) if symbol.name() in acting]
+    prompt = tuple(i for i in acts if i not in own.delayed)
+    late = own.delay[list(own.delayed), 0]
     full_K = ca.sparsify(ca.vertcat(K, onto))
-    driven = prompt or full_K.nnz() or disturbances.n_columns
+    driven = acts or full_K.nnz() or disturbances.n_columns
     walks = tuple(range(len(free), len(free) + len(gains)))
-    noise = _only_in(own.K, ca.veccat(own.dx, own.y, own.x0))
+    noise = _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
     x_all = ca.vertcat(own.x, ca.SX.sym("walk", len(walking)))
     x0_all = ca.vertcat(x0, ca.SX(len(walking), 1))
     equations = SampleEquations(
@@ -150,6 +174,9 @@ def build_nonlinear_predictor(
         walking=walking,
         prompt=prompt,
         lead=tuple(i for i in prompt if holds[i] == "foh"),
+        delayed=own.delayed,
+        early=late / h - shift,
+        holds=holds,
         disturbances=disturbances,
         coefficients=coefficients,
         impulse=any(released) or not driven,
@@ -165,7 +192,7 @@ def build_nonlinear_predictor(
         n_outputs=n_y,
         holds=holds,
         prompt=prompt,
-        delayed=(),
+        delayed=own.delayed,
         feeds_back=full_K.nnz() > 0,
         disturbances=disturbances,
         walks=walks,
@@ -173,18 +200,19 @@ def build_nonlinear_predictor(
         sample_time=sample_time,
         released=any(released),
         functions=sample_functions(equations),
-        known=np.array([*(values[name] for name in others), sample_time]),
+        known=np.array([*(values[name] for name in others), *[0.0] * len(own.delayed), sample_time]),
         steps=first_steps(structure, np.array([begin[q.name] for q in structure.parameters]), sample_time, own),
         adapts=structure.steps == "auto",
         jumps=jumps_in(own),
         _x0=ca.Function("x0", [theta, known], [ca.densify(x0_all)]),
+        _delay=ca.Function("delay", [theta, known], [ca.densify(late), ca.densify(ca.jacobian(late, theta))]),
     )
 
 
 def nonlinear_noise_names(structure: NonlinearStructure) -> frozenset[str]:
     """Return the names of the parameters on which only the disturbance gain depends."""
     own = symbolic_equations(structure)
-    return _only_in(own.K, ca.veccat(own.dx, own.y, own.x0))
+    return _only_in(own.K, ca.veccat(own.dx, own.y, own.x0, own.delay))
 
 
 def _only_in(one: ca.SX, others: ca.SX) -> frozenset[str]:

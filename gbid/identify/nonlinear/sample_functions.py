@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from gbid.discretise import IntegratorName, one_step
+from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.identify.disturbances.disturbances import Disturbances
 
 
@@ -40,7 +40,13 @@ class SampleEquations(NamedTuple):
     walking : tuple of int
         Outputs with a random walk, whose offsets are the last states.
     prompt, lead : tuple of int
-        Inputs among the regressors, and those of them whose next sample is there, too.
+        Inputs without delay among the regressors, and those of them whose next sample is there, too.
+    delayed : tuple of int
+        Inputs with an exact delay.
+    early : casadi.SX
+        What is left of the delays of these after whole samples, in samples.
+    holds : tuple of {"zoh", "foh"}
+        Hold of each input.
     disturbances : Disturbances
         Trends and hum.
     coefficients : casadi.SX
@@ -62,6 +68,9 @@ class SampleEquations(NamedTuple):
     walking: tuple[int, ...]
     prompt: tuple[int, ...]
     lead: tuple[int, ...]
+    delayed: tuple[int, ...]
+    early: ca.SX
+    holds: tuple[Hold, ...]
     disturbances: Disturbances
     coefficients: ca.SX
     impulse: bool
@@ -108,10 +117,10 @@ class _ByContent:
 
     def __init__(self, own: SampleEquations) -> None:
         symbols, rest = [own.x, own.theta, own.known, own.u], own._asdict()
-        values = [own.dx, own.y, own.K, own.x0, own.coefficients]
+        values = [own.dx, own.y, own.K, own.x0, own.coefficients, own.early]
         written = ca.Function("equations", symbols, values).serialize()
         self.own = own
-        options = ("walking", "prompt", "lead", "disturbances", "impulse", "integrator")
+        options = ("walking", "prompt", "lead", "delayed", "holds", "disturbances", "impulse", "integrator")
         self._content = (written, *(rest[name] for name in options))
 
     def __eq__(self, other: object) -> bool:
@@ -126,18 +135,23 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     own = equations.own
     n, n_y = own.x.numel(), own.y.numel()
     feeds_back = own.K.nnz() > 0
-    widths = [len(own.prompt), len(own.lead), own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
+    taps = [3 if own.holds[i] == "foh" else 2 for i in own.delayed]
+    rest = [own.disturbances.n_columns, int(own.impulse), n_y * feeds_back]
+    widths = [len(own.prompt), len(own.lead), sum(taps), *rest]
     z = ca.SX.sym("z", sum(widths))
-    now, lead, trend, impulse, measured = _parts(z, widths)
-    u0, u1 = (ca.SX(own.u.numel(), 1) for _ in range(2))
+    now, lead, late, trend, impulse, measured = _parts(z, widths)
+    u = ca.SX(own.u.numel(), 3)  # see `step_inputs`
+    early: list[ca.SX | None] = [None] * own.u.numel()
     for row, i in enumerate(own.prompt):
-        u0[i] = u1[i] = now[row]
+        u[i, 1] = now[row]
     for row, i in enumerate(own.lead):
-        u1[i] = lead[row]
+        u[i, 0] = lead[row]
+    for row, (i, mine) in enumerate(zip(own.delayed, _parts(late, taps), strict=True)):
+        u[i, 3 - mine.numel() :], early[i] = mine.T, own.early[row]
 
     # Output of a sample, and its derivatives at the state that has begun there.
     at = own.x + own.x0 * impulse if own.impulse else own.x
-    (y,) = ca.substitute([own.y], [own.u], [u0])
+    (y,) = ca.substitute([own.y], [own.u], [u[:, 1]])
     for walk, output in enumerate(own.walking):
         y[output] += own.x[n - len(own.walking) + walk]
     if own.disturbances.n_columns:
@@ -153,7 +167,7 @@ def _functions(equations: _ByContent) -> SampleFunctions:
     e, t, w = ca.SX.sym("e", n_y), ca.SX.sym("t"), ca.SX.sym("w")
     derivative = ca.vertcat(own.dx, ca.SX(len(own.walking), 1)) + own.K @ e
     f = ca.Function("f", [own.x, own.u], [ca.densify(derivative)], {"allow_free": True})
-    ends = u0 + (u1 - u0) * t, u0 + (u1 - u0) * (t + w)
+    ends = step_inputs(u, own.holds, early, t, w)
     after = one_step(own.integrator, f, own.x, ends, own.known[-1] * w)
 
     a, v = ca.SX.sym("a", n), ca.SX.sym("v", n_y)

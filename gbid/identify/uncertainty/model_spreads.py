@@ -13,6 +13,7 @@ from gbid.identify.curves.slopes import model_slopes, nonlinear_slopes
 from gbid.identify.curves.uncertain_model import ModelSlopes
 from gbid.identify.nlp.record_group import RecordGroup
 from gbid.identify.nlp.shooting import Shooting
+from gbid.identify.nonlinear.nonlinear_predictor import NonlinearPredictor
 from gbid.identify.nonlinear.working_point import linearised
 from gbid.identify.predictor import Predictor
 from gbid.identify.uncertainty.propagation import mode_slopes, spread, static_gain_slopes
@@ -70,9 +71,10 @@ def model_spreads(
         B = Dual(B.value + B_delayed.value, B.slope + B_delayed.slope)
         slopes = model_slopes(part.predictor, theta, part.index)
     else:
+        assert isinstance(part.predictor, NonlinearPredictor)
         assert isinstance(model, NonlinearModel)
         A, B, C, D = linearised(model, names, [q.name for q in part.predictor.free])
-        slopes = nonlinear_slopes([A, B, C, D], len(theta), part.index)
+        slopes = nonlinear_slopes([A, B, C, D], part.predictor, theta, part.index)
     own, gain_std = chosen[np.ix_(part.index, part.index)], np.full(D.value.shape, np.nan)
     if not (np.isfinite(own).all() and np.isfinite(A.value).all()):
         return ModelSpreads(slopes, np.full((len(model.modes()), 2), np.nan), gain_std)

@@ -44,6 +44,8 @@ class Equations(NamedTuple):
         Disturbance gain, (n, n_outputs).
     x0 : casadi.SX
         Initial state, (n, 1); empty when the structure states none.
+    delay : casadi.SX
+        Exact delays of the inputs [s], (n_inputs, 1); without an entry for an input without delay.
     """
 
     x: ca.SX
@@ -53,6 +55,12 @@ class Equations(NamedTuple):
     y: ca.SX
     K: ca.SX
     x0: ca.SX
+    delay: ca.SX
+
+    @property
+    def delayed(self) -> tuple[int, ...]:
+        """Inputs with an exact delay."""
+        return tuple(self.delay.sparsity().row())
 
 
 def symbolic_equations(structure: NonlinearStructure) -> Equations:
@@ -109,7 +117,7 @@ def _equations(of: _Itself) -> Equations:
 
     dx = column("dynamics(x, u, p)", lambda: structure.dynamics(x, u, known), n, "state")
     y = column("output(x, u, p)", lambda: structure.output(x, u, known), n_y, "output")
-    gain, initial = structure.disturbance_gain, structure.x0
+    gain, initial, late = structure.disturbance_gain, structure.x0, structure.delay
     K = ca.SX(n, n_y)
     if gain is not None:
         K = _expression(structure.name, "disturbance_gain(p)", lambda: gain(known))
@@ -119,7 +127,15 @@ def _equations(of: _Itself) -> Equations:
                 "for each state, a column for each output"
             )
     x0 = ca.SX(0, 1) if initial is None else column("x0(p)", lambda: initial(known), n, "state")
-    inside = {"dynamics": (dx, [x, u, p]), "output": (y, [x, u, p]), "disturbance_gain": (K, [p]), "x0": (x0, [p])}
+    n_u = len(structure.inputs)
+    delay = ca.SX(n_u, 1) if late is None else ca.sparsify(column("delay(p)", lambda: late(known), n_u, "input"))
+    inside = {
+        "dynamics": (dx, [x, u, p]),
+        "output": (y, [x, u, p]),
+        "disturbance_gain": (K, [p]),
+        "x0": (x0, [p]),
+        "delay": (delay, [p]),
+    }
     for what, (expression, symbols) in inside.items():
         function = ca.Function("e", symbols, [expression], {"allow_free": True})
         if foreign := [symbol.name() for symbol in function.free_sx()]:
@@ -131,7 +147,13 @@ def _equations(of: _Itself) -> Equations:
                 f"structure {structure.name!r}: {what} contains nan: a function that is not casadi's, such as "
                 "math.sin or float, was applied to a symbol; use functions of casadi, such as casadi.sin"
             )
-    return Equations(x, u, p, dx, y, K, x0)
+    own = Equations(x, u, p, dx, y, K, x0, delay)
+    if at_once := [structure.inputs[i] for i in own.delayed if ca.depends_on(y, u[i])]:
+        raise UsageError(
+            f"structure {structure.name!r}: output contains the delayed input {', '.join(at_once)}; delayed inputs act "
+            "on the derivatives of the states only"
+        )
+    return own
 
 
 def jumps_in(equations: Equations) -> tuple[str, ...]:

@@ -14,20 +14,23 @@ from gbid.structure.rotor_bearing import AXES, STIFFENING, RotorBearing, square
 def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
     """Return the equations of a rotor bearing whose film stiffens.
 
-    The linear part is that of `RotorBearing.matrices`. The film adds ``s |p|^2 K p`` to the acceleration.
+    The linear part is that of `RotorBearing.matrices`, with its delays as filters or exact. The film adds
+    ``s |p|^2 K p`` to the acceleration.
 
     Parameters
     ----------
     bearing : RotorBearing
         The bearing, with ``film="stiffening"``.
     """
+    exact = bearing.delay == "exact"
 
     def dynamics(x: Any, u: Any, p: Values) -> Any:
         own = bearing.matrices(p)
         film = p[STIFFENING] * (x[0] ** 2 + x[1] ** 2) * (square(p, "k") @ x[:2])
-        return own["A"] @ x + own["B"] @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
+        drive = own["B"] + own["B_delayed"] if exact else own["B"]
+        return own["A"] @ x + drive @ u + ca.vertcat(ca.SX(2, 1), film, ca.SX(x.numel() - 4, 1))
 
-    late = [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
+    late = [] if exact else [f"late_{axis}{i}" for axis in AXES for i in range(bearing.pade_order)]
     return NonlinearStructure(
         bearing.name,
         bearing.parameters,
@@ -38,4 +41,5 @@ def film_bearing(bearing: RotorBearing) -> NonlinearStructure:
         [f"{bearing.outputs[0]}.{axis}" for axis in AXES],
         intersample=bearing.intersample,
         disturbance_gain=None if bearing.disturbance_gain == "none" else lambda p: bearing.matrices(p)["K"],
+        delay=(lambda p: bearing.matrices(p)["delay"]) if exact else None,
     )

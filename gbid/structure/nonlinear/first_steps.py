@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.discretise import IntegratorName, one_step
+from gbid.discretise import Hold, IntegratorName, one_step, step_inputs
 from gbid.errors import NoValueAtStartError
 from gbid.structure.nonlinear.equations import Equations
 from gbid.structure.nonlinear.nonlinear_structure import MOST_STEPS, NonlinearStructure
@@ -51,14 +54,19 @@ def first_steps(structure: NonlinearStructure, p: FloatArray, sample_time: float
 
 
 def over_a_sample(
-    method: IntegratorName, f: ca.Function, x: ca.SX, u: tuple[ca.SX, ca.SX], sample_time: ca.SX, steps: int
+    method: IntegratorName,
+    f: ca.Function,
+    x: ca.SX,
+    u: ca.SX,
+    holds: Sequence[Hold],
+    early: Sequence[Any | None],
+    sample_time: ca.SX,
+    steps: int,
 ) -> ca.SX:
-    """Return the state after a sample of several steps of an integrator; arguments as for `one_step`."""
-    first, last = u
-    at, a, b = (ca.SX.sym(name, n) for name, n in (("x", x.numel()), ("a", first.numel()), ("b", last.numel())))
+    """Return the state after a sample of several steps of an integrator; arguments as for `one_step`, `step_inputs`."""
+    at, a, b = (ca.SX.sym(name, n) for name, n in (("x", x.numel()), ("a", u.shape[0]), ("b", u.shape[0])))
     length = ca.SX.sym("h")
     sub = ca.Function("sub", [at, a, b, length], [one_step(method, f, at, (a, b), length)], {"allow_free": True})
     for i in range(steps):
-        ends = [first + (last - first) * (j / steps) for j in (i, i + 1)]
-        x = sub(x, *ends, sample_time / steps)
+        x = sub(x, *step_inputs(u, holds, early, i / steps, 1 / steps), sample_time / steps)
     return x

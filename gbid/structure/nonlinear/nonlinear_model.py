@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Annotated, Any
@@ -13,12 +13,10 @@ import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.brief import Brief, Description, brief
-from gbid.discretise import IntegratorName, check_holds
+from gbid.discretise import Hold, IntegratorName, check_holds
 from gbid.errors import UsageError
 from gbid.hdf5 import Stored
-from gbid.structure.nonlinear.equations import symbolic_equations
 from gbid.structure.nonlinear.first_steps import over_a_sample
-from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.numeric.sampled_run import channels, check_sample_time
 
@@ -45,6 +43,8 @@ class NonlinearModel(Brief):
         Integrator of simulations.
     steps : int
         Steps of the integrator in a sample.
+    delay : (n_inputs,) array or None
+        Exact delays of the inputs [s]; None without them.
     working_state, working_input : (n_states,) and (n_inputs,) array
         Working point of `linearise` when none is given: the means over the recordings of a fit.
     state_size : (n_states,) array
@@ -60,6 +60,7 @@ class NonlinearModel(Brief):
     output_names: tuple[str, ...]
     integrator: IntegratorName = "rk4"
     steps: int = 1
+    delay: Annotated[FloatArray | None, Stored("s", "delay of the model")] = None
     working_state: Annotated[FloatArray, Stored("SI", "state of the working point")] = field(
         default_factory=lambda: np.zeros(0)
     )
@@ -135,9 +136,10 @@ class NonlinearModel(Brief):
         A, B, C, D = (np.mean(each, axis=0) for each in zip(*slopes, strict=True))
         if not all(np.isfinite(m).all() for m in (A, B, C, D)):
             raise UsageError(f"model {self.name!r}: the derivatives at x0 = {x}, u0 = {u} are not finite; give another")
+        late = np.zeros(len(u)) if self.delay is None else self.delay
         return LinearModel(
             A,
-            B,
+            np.where(late > 0, 0.0, B),
             C,
             D,
             self.K if self.K.any() else None,
@@ -145,6 +147,8 @@ class NonlinearModel(Brief):
             input_names=self.input_names,
             output_names=self.output_names,
             state_names=self.state_names,
+            B_delayed=None if self.delay is None else np.where(late > 0, B, 0.0),
+            delay=self.delay,
         )
 
     def modes(self) -> list[tuple[float, float]]:
@@ -186,9 +190,9 @@ class NonlinearModel(Brief):
         UsageError
             When shapes do not fit, an input is not finite, or the sample time is not positive.
         """
-        u, following, x = self._run(inputs, sample_time, initial_state, intersample)
+        u, holds, x = self._run(inputs, sample_time, initial_state, intersample)
         none = np.zeros((len(u), len(self.output_names)))
-        return self._over(self._step_without, x, (u, following, none), sample_time)
+        return self._over(self._step(holds, feeds_back=False), x, u, none, sample_time)
 
     def predict(
         self,
@@ -224,64 +228,72 @@ class NonlinearModel(Brief):
         UsageError
             As for `simulate`, or when the outputs do not fit.
         """
-        u, following, x = self._run(inputs, sample_time, initial_state, intersample)
+        u, holds, x = self._run(inputs, sample_time, initial_state, intersample)
         y = channels(self.name, "outputs", outputs, len(self.output_names), len(u))
-        return self._over(self._step_with, x, (u, following, y), sample_time)
+        return self._over(self._step(holds, feeds_back=True), x, u, y, sample_time)
 
     def _run(
         self, inputs: npt.ArrayLike, sample_time: float, initial_state: Any, intersample: str | Sequence[str]
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return checked inputs, those at the end of each sample, and the first state."""
+    ) -> tuple[FloatArray, tuple[Hold, ...], FloatArray]:
+        """Return the inputs around each sample as `step_function` takes them, their holds, and the first state."""
         u = channels(self.name, "inputs", inputs, len(self.input_names))
         check_sample_time(self.name, sample_time)
         start = np.zeros(self.n_states) if initial_state is None else initial_state
-        held = np.array([hold == "zoh" for hold in check_holds(intersample, u.shape[1])], bool)
-        return u, np.where(held, u, np.vstack([u[1:], u[-1:]])), self._sized("initial_state", start, self.n_states)
+        shift = np.zeros(u.shape[1], int) if self.delay is None else np.floor(self.delay / sample_time).astype(int)
+        rows = np.arange(len(u))[:, None, None] - shift[:, None] + [1, 0, -1]  # (n_samples, n_inputs, 3)
+        around = u[np.clip(rows, 0, len(u) - 1), np.arange(u.shape[1])[:, None]]
+        holds = check_holds(intersample, u.shape[1])
+        return around, holds, self._sized("initial_state", start, self.n_states)
 
-    def _over(
-        self, step: ca.Function, x: FloatArray, signals: tuple[FloatArray, FloatArray, FloatArray], sample_time: float
-    ) -> FloatArray:
+    def _over(self, step: ca.Function, x: FloatArray, u: FloatArray, y: FloatArray, sample_time: float) -> FloatArray:
         """Return the outputs of all samples, (n_samples, n_outputs), some samples at a time: more would take memory."""
-        n = len(signals[0])
+        n = len(u)
         length = min(n, _AT_ONCE)
         run = step.mapaccum(length) if length > 1 else step
         found = []
         for first in range(0, n, length):
             rows = np.minimum(np.arange(first, first + length), n - 1)
-            states, outputs = run(x, *(signal[rows].T for signal in signals), self.parameters, sample_time)
+            around = u[rows].transpose(1, 0, 2).reshape(u.shape[1], -1)
+            states, outputs = run(x, around, y[rows].T, self.parameters, sample_time)
             x = np.asarray(states[:, -1], float).ravel()
             found.append(np.array(outputs, float).T)
         return np.concatenate(found)[:n]
 
-    @cached_property
-    def _step_without(self) -> ca.Function:
-        return self.step_function()
+    def _step(self, holds: tuple[Hold, ...], *, feeds_back: bool) -> ca.Function:
+        if (holds, feeds_back) not in self._made:
+            self._made[holds, feeds_back] = self.step_function(holds, feeds_back=feeds_back)
+        return self._made[holds, feeds_back]
 
     @cached_property
-    def _step_with(self) -> ca.Function:
-        return self.step_function(feeds_back=True)
+    def _made(self) -> dict[tuple[tuple[Hold, ...], bool], ca.Function]:
+        return {}
 
-    def step_function(self, *, feeds_back: bool = False) -> ca.Function:
+    def step_function(self, holds: Sequence[Hold], *, feeds_back: bool = False) -> ca.Function:
         """Return the discretised equations as a ``casadi.Function``: the model over one sample.
 
         Parameters
         ----------
+        holds : sequence of {"zoh", "foh"}
+            Hold of each input.
         feeds_back : bool
             Whether the disturbance gain feeds the error of the measured outputs back: the one-step predictor.
 
         Returns
         -------
         casadi.Function
-            ``(x, u, u_next, y, p, h)`` to the next state and the output: inputs at both ends of the sample, measured
-            outputs, parameters in the order of the structure, and the sample time [s].
+            ``(x, u, y, p, h)`` to the next state and the output: inputs (n_inputs, 3) at the samples k + 1, k and
+            k - 1, earlier by the whole samples in the delay of each; measured outputs; parameters in the order of the
+            structure; and the sample time [s].
         """
         n, n_u, n_y = self.n_states, len(self.input_names), len(self.output_names)
-        x, u, last, y, p, h, a, b = _symbols(n, n_u, n_u, n_y, len(self.parameters), 1, n, n_u)
-        output = self.function(x, u, p)[1]
+        x, y, p, h, a, b = _symbols(n, n_y, len(self.parameters), 1, n, n_u)
+        u, delay = ca.SX.sym("u", n_u, 3), np.zeros(n_u) if self.delay is None else self.delay
+        output = self.function(x, u[:, 1], p)[1]
         error = y - output if feeds_back else ca.SX.zeros(n_y)
         f = ca.Function("f", [a, b], [self.function(a, b, p)[0] + ca.DM(self.K) @ error], {"allow_free": True})
-        after = over_a_sample(self.integrator, f, x, (u, last), h, self.steps)
-        return ca.Function("step", [x, u, last, y, p, h], [after, output])
+        early = [own / h - ca.floor(own / h) if own > 0 else None for own in delay.tolist()]
+        after = over_a_sample(self.integrator, f, x, u, holds, early, h, self.steps)
+        return ca.Function("step", [x, u, y, p, h], [after, output])
 
     @cached_property
     def _slopes(self) -> ca.Function:
@@ -298,48 +310,3 @@ class NonlinearModel(Brief):
 
 def _symbols(*sizes: int) -> list[ca.SX]:
     return [ca.SX.sym(f"s{i}", size) for i, size in enumerate(sizes)]
-
-
-def nonlinear_model(
-    structure: NonlinearStructure,
-    values: Mapping[str, float],
-    input_names: tuple[str, ...] = (),
-    output_names: tuple[str, ...] = (),
-    *,
-    steps: int = 1,
-) -> NonlinearModel:
-    """Return the model of a nonlinear structure for given parameter values.
-
-    Parameters
-    ----------
-    structure : NonlinearStructure
-        The structure.
-    values : dict of str to float
-        A value for every parameter.
-    input_names, output_names : tuple of str, optional
-        Names of the channels; by default those of the structure.
-    steps : int
-        Steps of the integrator in a sample.
-
-    Raises
-    ------
-    UsageError
-        When a value is missing.
-    """
-    if missing := [q.name for q in structure.parameters if q.name not in values]:
-        raise UsageError(f"structure {structure.name!r}: no value for {', '.join(missing)}")
-    e = symbolic_equations(structure)
-    p = np.array([float(values[q.name]) for q in structure.parameters])
-    K = np.array(ca.Function("K", [e.p], [ca.densify(e.K)])(p), float)
-    function = ca.Function("equations", [e.x, e.u, e.p], [e.dx, e.y])
-    return NonlinearModel(
-        structure.name,
-        function.serialize(),
-        p,
-        K.reshape(e.K.shape),
-        structure.states,
-        input_names or structure.inputs,
-        output_names or structure.outputs,
-        structure.integrator,
-        steps,
-    )

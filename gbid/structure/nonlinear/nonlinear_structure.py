@@ -40,6 +40,9 @@ class NonlinearStructure:
     disturbance_gain : callable, optional
         ``disturbance_gain(p)`` returns the constant gain K, (n_states, n_outputs), of the prediction error e, which is
         held between samples (innovations form). Without it, prediction and simulation are the same.
+    delay : callable, optional
+        ``delay(p)`` returns the exact delay of each input [s]: ``u[i]`` is then the input at the time ``t - delay``. A
+        zero is for an input without delay. Give the parameter of a delay ``lower=0.0``.
     x0 : callable, optional
         ``x0(p)`` returns the initial state of every recording as a function of the parameters. By default initial
         states are estimated.
@@ -74,6 +77,7 @@ class NonlinearStructure:
     outputs: tuple[str, ...]
     intersample: Hold = "zoh"
     disturbance_gain: Callable[[Values], Any] | None = None
+    delay: Callable[[Values], Any] | None = None
     x0: Callable[[Values], Any] | None = None
     integrator: IntegratorName = "rk4"
     steps: int | Literal["auto"] = "auto"
@@ -90,6 +94,7 @@ class NonlinearStructure:
         *,
         intersample: Hold = "zoh",
         disturbance_gain: Callable[[Values], Any] | None = None,
+        delay: Callable[[Values], Any] | None = None,
         x0: Callable[[Values], Any] | None = None,
         integrator: IntegratorName = "rk4",
         steps: int | Literal["auto"] = "auto",
@@ -104,6 +109,7 @@ class NonlinearStructure:
             "outputs": as_names(outputs),
             "intersample": intersample,
             "disturbance_gain": disturbance_gain,
+            "delay": delay,
             "x0": x0,
             "integrator": integrator,
             "steps": steps,
@@ -120,9 +126,10 @@ class NonlinearStructure:
         for what in ("states", "outputs"):
             if not getattr(self, what):
                 raise UsageError(f"{where}: no {what}")
-        for what in ("dynamics", "output", "disturbance_gain", "x0"):
+        optional = ("disturbance_gain", "delay", "x0")
+        for what in ("dynamics", "output", *optional):
             function = getattr(self, what)
-            if not (callable(function) or (function is None and what in ("disturbance_gain", "x0"))):
+            if not (callable(function) or (function is None and what in optional)):
                 raise UsageError(f"{where}: {what} = {function!r} is no function; give one that returns expressions")
         if self.integrator not in get_args(IntegratorName):
             raise UsageError(f"{where}: integrator = {self.integrator!r}; choose 'rk4' or 'implicit'")
