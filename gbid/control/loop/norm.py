@@ -29,7 +29,7 @@ class Peak(NamedTuple):
     frequency_hz: float
 
 
-def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
+def peak_gain(model: LinearModel, tolerance: float = 1e-8, least: float = 0.0) -> Peak:
     r"""Return the H-infinity norm, the largest singular value over all frequencies.
 
     Parameters
@@ -38,6 +38,8 @@ def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
         Continuous without exact delays, or sampled.
     tolerance : float
         Relative tolerance; no frequency has a gain that is larger by more than twice this.
+    least : float
+        Gain that matters. Where no frequency has a larger one, the returned gain may be too small, but takes less time.
 
     Returns
     -------
@@ -68,9 +70,9 @@ def peak_gain(model: LinearModel, tolerance: float = 1e-8) -> Peak:
         return Peak(inf, float("nan"))
     A, B, C, D = (np.array(m) for m in (model.A, model.B, model.C, model.D))
     if model.dt is None:
-        value, w = _peak_of(A, B, C, D, tolerance)
+        value, w = _peak_of(A, B, C, D, tolerance, least)
         return Peak(value, w / (2 * pi))
-    value, w = _peak_of(*_bilinear(A, B, C, D), tolerance)
+    value, w = _peak_of(*_bilinear(A, B, C, D), tolerance, least)
     return Peak(value, float(np.arctan(w) / (pi * model.dt)))
 
 
@@ -129,7 +131,9 @@ def refine_maxima(
     return (value, where) if value >= values.max() else (float(values.max()), float(grid[values.argmax()]))
 
 
-def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float) -> tuple[float, float]:
+def _peak_of(
+    A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, tolerance: float, least: float
+) -> tuple[float, float]:
     """Return the largest gain of a stable continuous model, and its angular frequency."""
     at_infinity = float(np.linalg.norm(D, 2)) if D.size else 0.0
     if not len(A) or not B.any() or not C.any():
@@ -152,7 +156,7 @@ def _peak_of(A: FloatArray, B: FloatArray, C: FloatArray, D: FloatArray, toleran
     if best == 0.0:
         best = np.finfo(float).tiny ** 0.5
     for _ in range(60):
-        gamma = best * (1 + 2 * tolerance)
+        gamma = max(best, least) * (1 + 2 * tolerance)
         crossings = _crossings(A, B, C, D, gamma)
         if not len(crossings):
             break

@@ -21,7 +21,7 @@ from gbid.control.tuning.search.sqp import LocalOptimum
 from gbid.control.tuning.search.starts.neutral import typical_rate, usable_start
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.solving import solve
-from gbid.control.tuning.verify import exact_norms, static_gains, worst_mode
+from gbid.control.tuning.verify import largest_norm, static_gains, worst_mode
 from gbid.errors import UsageError
 from gbid.notes.control_notes import ControlNote
 
@@ -219,8 +219,8 @@ def _peaks(problem: GainProblem, x: FloatArray, stable: bool) -> dict[str, float
     if not families or not stable:
         return {}
     return {
-        "peak_sensitivity": max(norm.value for f in families for norm in exact_norms(f, x, "sensitivity")),
-        "peak_control": max(norm.value for f in families for norm in exact_norms(f, x, "control")),
+        "peak_sensitivity": max(largest_norm(f, x, "sensitivity") for f in families),
+        "peak_control": max(largest_norm(f, x, "control") for f in families),
         "static_amplification": max(float(static_gains(f, x).max()) for f in families),
     }
 

@@ -24,14 +24,27 @@ class Norm(NamedTuple):
     frequency: float
 
 
-def exact_norms(family: LoopFamily, x: FloatArray, kind: str) -> list[Norm]:
-    """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop."""
-    loops, rows = family.matrices(x), rows_of(family, kind)
-    models = (
-        LinearModel(A, B, C[rows], D[rows]) for A, B, C, D in zip(loops.A, loops.B, loops.C, loops.D, strict=True)
-    )
-    found = (peak_gain(model) for model in models)
+def exact_norms(family: LoopFamily, x: FloatArray, kind: str, least: float = 0.0) -> list[Norm]:
+    """Return the H-infinity norms of S_o (``"sensitivity"``) or K S_o (``"control"``) of every loop.
+
+    Those below `least` may be too small, but take less time.
+    """
+    found = (peak_gain(model, least=least) for model in _models(family, x, kind))
     return [Norm(peak.value, 2 * np.pi * peak.frequency_hz) for peak in found]
+
+
+def largest_norm(family: LoopFamily, x: FloatArray, kind: str) -> float:
+    """Return the largest of the H-infinity norms of all loops."""
+    largest = 0.0
+    for model in _models(family, x, kind):
+        largest = max(largest, peak_gain(model, least=largest).value)
+    return largest
+
+
+def _models(family: LoopFamily, x: FloatArray, kind: str) -> list[LinearModel]:
+    loops, rows = family.matrices(x), rows_of(family, kind)
+    parts = zip(loops.A, loops.B, loops.C[:, rows], loops.D[:, rows], strict=True)
+    return [LinearModel(A, B, C, D) for A, B, C, D in parts]
 
 
 def static_gains(family: LoopFamily, x: FloatArray) -> FloatArray:

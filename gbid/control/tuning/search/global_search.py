@@ -14,7 +14,8 @@ from gbid.control.tuning.search.basins.ranking import FEASIBLE, best_of, better,
 from gbid.control.tuning.search.nonsmooth.active import Score
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
-from gbid.control.tuning.search.starts.draws import grid_starts, random_starts
+from gbid.control.tuning.search.starts.draws import random_starts
+from gbid.control.tuning.search.starts.gain_grid import grid_starts
 from gbid.control.tuning.search.starts.units import gain_units
 from gbid.control.tuning.search.step import SearchStep
 
@@ -108,7 +109,7 @@ def search(
     rough: list[LocalOptimum] = []
     if d in GRID and effort.starts is None:
         for x in (*given, *grid_starts(problem, given[0], climber.unit, GRID[d], effort.finalists)):
-            rough.append(optimise_locally(problem, x, max_iterations=12, tolerance=1e-4, curvature=False))
+            rough.append(optimise_locally(problem, x, max_iterations=10, tolerance=1e-4, rough=True, repair=False))
         note("global", best_of(rough).score)
     else:
         n = effort.starts if effort.starts is not None else climber.starts
@@ -132,6 +133,8 @@ def search(
         goal = max(map(rank, finals), default=-np.inf) if raced else None
         finals.append(start if problem.exhausted else climber.full(start.x, goal))
         note("local", best_of(finals).score)
+        if d in GRID and _settled(climber, finals):
+            break
     best = best_of(finals)
     if d not in GRID and effort.hops and not _settled(climber, finals):
         rng = np.random.default_rng(effort.seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, Self
 
 import casadi as ca
 import numpy as np
@@ -36,6 +36,10 @@ class Loops:
         """Whether B, C and D are finite."""
         return all(np.isfinite(M).all() for M in (self.B, self.C, self.D))
 
+    def of(self, loops: npt.NDArray[np.intp]) -> Self:
+        """Return some of the loops."""
+        return type(self)(*(getattr(self, entry.name)[loops] for entry in fields(self)))
+
 
 @dataclass(frozen=True)
 class Derivatives(Loops):
@@ -45,10 +49,6 @@ class Derivatives(Loops):
     dB: FloatArray
     dC: FloatArray
     dD: FloatArray
-
-    def of(self, loops: npt.NDArray[np.intp]) -> Derivatives:
-        """Return some of the loops."""
-        return Derivatives(*(getattr(self, entry.name)[loops] for entry in fields(self)))
 
     @classmethod
     def joined(cls, parts: Sequence[Derivatives]) -> Derivatives:

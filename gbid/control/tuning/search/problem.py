@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
@@ -22,7 +21,7 @@ from gbid.control.tuning.search.measure import LoopState
 from gbid.control.tuning.search.nonsmooth.active import UNUSABLE, ActiveFunction, ActiveFunctions, Score, merit
 from gbid.control.tuning.search.nonsmooth.cluster import Cluster
 from gbid.control.tuning.search.nonsmooth.loop_subspaces import LoopSubspaces
-from gbid.control.tuning.search.peaks import Peaks, find_peaks, peak_slopes, respond
+from gbid.control.tuning.search.peaks import IntArray, Peaks, find_peaks, peak_slopes, respond
 from gbid.control.tuning.search.plane import rate_slopes, true_rates
 from gbid.control.tuning.search.spectrum import Eigensystem, damping_factors, damping_slopes, eigenvalues
 from gbid.poles import REAL
@@ -76,13 +75,20 @@ class GainProblem:
         """Rate that every eigenvalue must exceed [1/s]; slightly above zero, so that limit cases are stable."""
         return max(self.limits.slowest_pole, 1e-7 * self.scale)
 
-    def score(self, x: FloatArray, worst: float = -np.inf) -> Score:
-        """Return the score of one design, without its peaks when its objective is below `worst`."""
-        self.evaluations += 1
+    def score(self, x: FloatArray, worst: float = -np.inf, some: Sequence[IntArray] | None = None) -> Score:
+        """Return the score of one design, without its peaks when its objective is below `worst`.
+
+        By some loops of each family it is a bound, and counts for no evaluation.
+        """
+        self.evaluations += some is None
         value, violation = np.inf, 0.0
         every = [family.matrices(x) for family in self.families]
-        for family, loops in zip(self.families, every, strict=True):
-            values = true_rates(eigenvalues(loops.A), family.sample_time)
+        if some is not None:
+            every = [loops.of(own) for loops, own in zip(every, some, strict=True)]
+        # eigenvectors with the eigenvalues take hardly longer than the eigenvalues alone
+        systems = [Eigensystem.of(loops.A) for loops in every] if self._uses_responses else None
+        for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
+            values = true_rates(systems[f].values if systems else eigenvalues(loops.A), family.sample_time)
             if np.isnan(values).any():
                 return UNUSABLE
             value = min(value, float(self.aim(values, family.sample_time).min()))
@@ -91,12 +97,13 @@ class GainProblem:
             return Score(value, max(violation, 0.0))
         if self._uses_responses and not all(loops.finite for loops in every):
             return UNUSABLE
-        for _, _, peaks, limit in self._responses(every, room=0.0):
+        for _, _, peaks, limit in self._responses(every, systems, room=0.0):
             violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
         for _, row, limit in self.linear:
             violation = max(violation, float(row @ x - limit))
-        if self.limits.measures:
-            states = [self.state(*pair, x) for pair in zip(self.families, every, strict=True)]
+        if self.limits.measures and some is None:
+            assert systems is not None
+            states = [self.state(*args) for args in zip(self.families, every, [x] * len(every), systems, strict=True)]
             violation = max([violation, *(float(e.excess(s).max()) for e in self.limits.extra for s in states)])
             value = min([value, *(-float(e.excess(s).max()) for e in self.limits.soft for s in states)])
         return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
@@ -259,7 +266,7 @@ class GainProblem:
         f: int,
         loops: Derivatives,
         near: NearbyEigenvalues | None,
-        which: npt.NDArray[np.intp],
+        which: IntArray,
     ) -> FloatArray:
         """Return the gradients of n functions in the chosen loops (n, q, d), NaN where they are not available."""
         shape, flat = (*which.shape, len(self.lower)), which.ravel()
@@ -302,7 +309,8 @@ class GainProblem:
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             if family.n_outputs:
                 system = Eigensystem.of(loops.A) if systems is None else systems[f]
-                own = self._peaks(family, loops, system, [cut for cut in self.cuts if cut[1] == f], room)
+                cuts = [cut for cut in self.cuts if cut[1] == f and len(loops.A) == len(family)]
+                own = self._peaks(family, loops, system, cuts, room)
                 found += [(kind, f, peaks, limit) for kind, peaks, limit in own]
         return found
 
@@ -323,7 +331,7 @@ class GainProblem:
                 peaks = find_peaks(loops, system, rows_of(family, kind), extra, least=limit * float(np.exp(-room)))
                 found.append((kind, peaks, limit))
         if self.limits.static_amplification is not None:
-            every, rest = np.arange(len(family)), np.zeros((len(family), 1))
+            every, rest = np.arange(len(loops.A)), np.zeros((len(loops.A), 1))
             response = respond(loops, system, rows_of(family, "static"), every, rest)
             peaks = Peaks(every, rest[:, 0], largest_singular_values(response)[:, 0])
             found.append(("static", peaks, self.limits.static_amplification))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -94,52 +95,67 @@ def _inverses(right: ComplexArray) -> tuple[ComplexArray, BoolArray]:
     return np.asarray(left, complex), np.asarray(~(size < _DEFECTIVE))
 
 
-def _both_sides(A: FloatArray) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return eigenvalues, right and left eigenvectors of a defective matrix."""
-    values, left, right = eig(A, left=True, check_finite=False)
-    left = left.conj().T
-    products = (left * right.T).sum(axis=1, keepdims=True)
-    return values, right, left / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
+def _left_of(A: FloatArray, right: ComplexArray) -> ComplexArray:
+    """Return left eigenvectors as rows for right ones as columns, with ``W V = I``.
+
+    A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
+    and are divided by the smallest number instead of zero.
+    """
+    left, defective = _inverses(right)
+    for i in np.flatnonzero(defective):
+        found = eig(A[i], left=True, right=False, check_finite=False)[1].conj().T
+        products = (found * right[i].T).sum(axis=1, keepdims=True)
+        left[i] = found / np.where(np.abs(products) > 1.0 / _LONGEST, products, 1.0 / _LONGEST)
+    return left
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Eigensystem:
-    """Eigenvalues (m, n), right eigenvectors as columns and left eigenvectors as rows, with ``W V = I``."""
+    """Eigenvalues (m, n) and eigenvectors of matrices, NaN for those without finite eigenvalues.
 
+    The eigenvalues of a defective matrix stay as they are: a change of the matrix by rounding errors would move k
+    eigenvalues that meet by the k-th root of these.
+
+    Attributes
+    ----------
+    A : (m, n, n) array
+        The matrices.
+    values : (m, n) array
+        Eigenvalues.
+    right : (m, n, n) array
+        Right eigenvectors as columns.
+    """
+
+    A: FloatArray
     values: ComplexArray
     right: ComplexArray
-    left: ComplexArray
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
-        """Return the eigensystems of (m, n, n) matrices, NaN for those without finite eigenvalues.
-
-        A defective matrix has no complete set of eigenvectors. Its left ones are those that LAPACK finds by themselves,
-        and are divided by the smallest number instead of zero. Its eigenvalues stay as they are: a change of the matrix
-        by rounding errors would move k eigenvalues that meet by the k-th root of these.
-        """
-        if not np.abs(A).max(initial=0.0) < LARGEST:
-            return cls._of_some(A, _usable(A))
-        try:
-            values, right = np.linalg.eig(A)
-        except np.linalg.LinAlgError:
-            return cls._of_some(A, _one_by_one(A))
-        left, defective = _inverses(right)
-        if defective.any():
-            values, right, left = values.astype(complex), right.astype(complex), left.astype(complex)
-            for i in np.flatnonzero(defective):
-                values[i], right[i], left[i] = _both_sides(A[i])
-        return cls(values.astype(complex), right.astype(complex), left.astype(complex))
-
-    @classmethod
-    def _of_some(cls, A: FloatArray, usable: BoolArray) -> Eigensystem:
-        m, n = A.shape[:2]
-        values = np.full((m, n), np.nan, complex)
-        right, left = np.full((m, n, n), np.nan, complex), np.full((m, n, n), np.nan, complex)
+        """Return the eigensystems of (m, n, n) matrices."""
+        if np.abs(A).max(initial=0.0) < LARGEST:
+            try:
+                values, right = np.linalg.eig(A)
+                return cls(A, values.astype(complex, copy=False), right.astype(complex, copy=False))
+            except np.linalg.LinAlgError:
+                usable = _one_by_one(A)
+        else:
+            usable = _usable(A)
+        values, right = np.full(A.shape[:2], np.nan, complex), np.full(A.shape, np.nan, complex)
         if usable.any():
-            some = cls.of(A[usable])
-            values[usable], right[usable], left[usable] = some.values, some.right, some.left
-        return cls(values, right, left)
+            values[usable], right[usable] = np.linalg.eig(A[usable])
+        return cls(A, values, right)
+
+    @cached_property
+    def left(self) -> ComplexArray:
+        """Left eigenvectors as rows, with ``W V = I``."""
+        usable = ~np.isnan(self.values[:, 0])
+        if usable.all():
+            return _left_of(self.A, self.right)
+        found = np.full(self.right.shape, np.nan, complex)
+        if usable.any():
+            found[usable] = _left_of(self.A[usable], self.right[usable])
+        return found
 
     def slopes(self, loops: npt.NDArray[np.intp], which: npt.NDArray[np.intp], dA: FloatArray) -> ComplexArray:
         """Return derivatives (k, d) of chosen eigenvalues: ``w dA v`` with ``w v = 1``; dA is (m, d, n, n)."""

@@ -70,6 +70,11 @@ class InvariantSubspaces:
             self._form, _, _, self._basis, _, failed = zgees(lambda _: None, A)
             self.usable = failed == 0
 
+    @property
+    def values(self) -> ComplexArray:
+        """Eigenvalues of the matrix (n,); NaN where it is not usable."""
+        return np.diag(self._form) if self.usable else np.full(self.dA.shape[-1], np.nan, complex)
+
     def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
         """Return the cluster of the eigenvalues nearest to a place in the complex plane.
 

@@ -9,6 +9,8 @@ import numpy as np
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.tuning.search.nonsmooth.active import ActiveFunction, ActiveFunctions
 from gbid.control.tuning.search.nonsmooth.cluster import Cluster, power_sums
+from gbid.control.tuning.search.nonsmooth.loop_subspaces import LoopSubspaces
+from gbid.control.tuning.search.plane import true_rates
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.spectrum import eigenvalues
 
@@ -143,9 +145,12 @@ def _middle(members: ComplexArray, real: bool) -> complex:
 
 
 def back_to_meeting(
-    problem: GainProblem, x: FloatArray, move: FloatArray, means: tuple[ActiveFunction, ...]
-) -> FloatArray:
+    problem: GainProblem, x: FloatArray, move: FloatArray, means: tuple[ActiveFunction, ...], least: float = -np.inf
+) -> FloatArray | None:
     """Return a move corrected so that its clusters of eigenvalues meet at its end.
+
+    None when the objective of the means, or of other eigenvalues of their loops, is below `least` before the
+    corrections, which hardly change it.
 
     The distance of k eigenvalues is a k-th root. So an error of second order in the move would change it by more than
     the first order. The derivatives of the power sums are computed once and then updated with their changes along the
@@ -166,6 +171,8 @@ def back_to_meeting(
             found = [cluster for cluster in clusters if cluster is not None]
             if len(found) < len(clusters):
                 return move
+            if smallest == np.inf and _reached(problem, subspaces, means, found) < least:
+                return None
             sums = [(cluster.mean, cluster.powers) for cluster in found]
             slopes = np.concatenate([cluster.powers_slope for cluster in found]) * width
             inverse = _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
@@ -192,6 +199,24 @@ def back_to_meeting(
         last = reached, (moved - move) / width
         move = moved
     return move
+
+
+def _reached(
+    problem: GainProblem, subspaces: LoopSubspaces, means: tuple[ActiveFunction, ...], clusters: list[Cluster]
+) -> float:
+    """Return the smallest objective of the loops of some clusters, with the mean of each for its eigenvalues."""
+    lowest = np.inf
+    for f, loop in {(mean.family, mean.loop) for mean in means}:
+        own = [one for mean, one in zip(means, clusters, strict=True) if (mean.family, mean.loop) == (f, loop)]
+        values = subspaces.values(f, loop)
+        apart = np.ones(len(values), bool)
+        for one in own:
+            for centre in (one.mean, one.mean.conjugate()):
+                apart &= np.abs(values - centre) > one.radius
+        T = problem.families[f].sample_time
+        rates = true_rates(np.append(values[apart], [one.mean for one in own]), T)
+        lowest = min(lowest, float(problem.aim(rates, T).min()))
+    return lowest
 
 
 def _pseudo_inverse(rows: FloatArray) -> FloatArray:
