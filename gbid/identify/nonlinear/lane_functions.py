@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
 import casadi as ca
 
 _BINARY = {ca.OP_ADD: "+", ca.OP_SUB: "-", ca.OP_MUL: "*", ca.OP_DIV: "/"}
@@ -65,15 +68,37 @@ static inline v one(m8 is) { return kept(all(1.0), is); }
 """
 
 
-def lane_source(functions: dict[str, ca.Function]) -> str:
-    """Return C functions of the same names, ``void name(const v *a0, ..., v *r0, ...)``, with dense columns.
+class LaneFunction(NamedTuple):
+    """A casadi.Function, and how it is written.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        The function.
+    constant : tuple of int
+        Arguments that are the same for all samples of a pass.
+    places : dict of int to sequence of int
+        Where the entries of a result go; one after the other without it.
+    """
+
+    function: ca.Function
+    constant: tuple[int, ...]
+    places: Mapping[int, Sequence[int]] = {}
+
+
+def lane_source(functions: Mapping[str, LaneFunction]) -> str:
+    """Return C functions of the same names, ``void name(const v *a0, ..., const v *c, v *r0, ...)``.
+
+    What depends on the constant arguments alone, a fifth of a step with its derivatives, is computed once for a pass:
+    ``name_once`` writes it to `c`, whose size is ``name_size``.
 
     Raises
     ------
     NotImplementedError
         When a function has an operation that is unknown here.
     """
-    met = {f.instruction_id(k) for f in functions.values() for k in range(f.n_instructions())}
+    each = [own.function for own in functions.values()]
+    met = {f.instruction_id(k) for f in each for k in range(f.n_instructions())}
     helpers = [
         f"static inline v {name}_(v a) {{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l]); return r; }}"
         for operation, name in _OF_ONE.items()
@@ -84,34 +109,64 @@ def lane_source(functions: dict[str, ca.Function]) -> str:
         f"{{ v r; for (int l = 0; l < 8; l++) r[l] = __builtin_{name}(a[l], b[l]); return r; }}"
         for name in sorted({name for operation, name in _OF_TWO.items() if operation in met})
     ]
-    return "\n".join([*helpers, *(_function(name, f) for name, f in functions.items())])
+    return "\n".join([*helpers, *(_written(name, own) for name, own in functions.items())])
 
 
-def _function(name: str, f: ca.Function) -> str:
-    given = [f"const v *restrict a{i}" for i in range(f.n_in())] + [f"v *restrict r{i}" for i in range(f.n_out())]
-    lines = [f"static void {name}({', '.join(given)}) {{"]
+def _written(name: str, own: LaneFunction) -> str:
+    """Return C of a function, and of the part of it that is constant in a pass."""
+    f = own.function
+    once: list[str] = []  # one statement for each constant value, all with names of their own
+    lines: list[str] = []
+    kept: dict[str, int] = {}  # constant values that the rest needs, and their places
+    at: dict[int, str] = {}  # name of the value in each place of CasADi's memory
     declared: set[int] = set()
+
+    def seen(value: str) -> str:
+        """Return how the rest of the function names a value."""
+        return f"c[{kept.setdefault(value, len(kept))}]" if value.startswith("k") else value
+
     for k in range(f.n_instructions()):
-        operation, into = f.instruction_id(k), f.instruction_output(k)
+        operation, into, given = f.instruction_id(k), f.instruction_output(k), f.instruction_input(k)
         if operation == ca.OP_OUTPUT:
-            lines.append(f"  r{into[0]}[{into[1]}] = w{f.instruction_input(k)[0]};")
+            row = own.places[into[0]][into[1]] if into[0] in own.places else into[1]
+            lines.append(f"  r{into[0]}[{row}] = {seen(at[given[0]])};")
             continue
-        at = into[0]
-        kind = "" if at in declared else "v "
-        declared.add(at)
-        lines.append(f"  {kind}w{at} = {_value(f, k, operation)};")
-    return "\n".join([*lines, "}"])
+        if operation == ca.OP_INPUT:
+            fixed, names = given[0] in own.constant, [f"a{given[0]}[{given[1]}]"]
+        else:
+            fixed, names = all(at[i].startswith("k") for i in given), [at[i] for i in given]
+        if fixed:
+            at[into[0]] = f"k{len(once)}"
+            once.append(f"  const v {at[into[0]]} = {_value(f, k, operation, names)};")
+        else:
+            at[into[0]] = f"w{into[0]}"
+            kind = "" if into[0] in declared else "v "
+            lines.append(f"  {kind}{at[into[0]]} = {_value(f, k, operation, list(map(seen, names)))};")
+            declared.add(into[0])
+    once += [f"  c[{place}] = {value};" for value, place in kept.items()]
+    arguments = [f"const v *restrict a{i}" for i in range(f.n_in())]
+    results = [f"v *restrict r{i}" for i in range(f.n_out())]
+    same = [arguments[i] for i in own.constant]
+    return "\n".join(
+        [
+            f"enum {{ {name}_size = {max(1, len(kept))} }};",
+            f"static void {name}_once({', '.join([*same, 'v *restrict c'])}) {{",
+            *once,
+            "}",
+            f"static void {name}({', '.join([*arguments, 'const v *restrict c', *results])}) {{",
+            *lines,
+            "}",
+        ]
+    )
 
 
-def _value(f: ca.Function, k: int, operation: int) -> str:
+def _value(f: ca.Function, k: int, operation: int, names: list[str]) -> str:
     if operation == ca.OP_CONST:
         return f"all({float(f.instruction_constant(k))!r})".replace("inf", "__builtin_inf()").replace(
             "nan", '__builtin_nan("")'
         )
-    given = f.instruction_input(k)
     if operation == ca.OP_INPUT:
-        return f"a{given[0]}[{given[1]}]"
-    names = [f"w{i}" for i in given]
+        return names[0]
     if operation in _BINARY:
         return f"{names[0]} {_BINARY[operation]} {names[1]}"
     if operation in _COMPARED:

@@ -12,7 +12,7 @@
 #define ROWS @ROWS@
 #define BUF (ROWS*NY)
 #define TILE 4
-#define PAD (((NC + TILE - 1)/TILE)*TILE)
+#define PAD (((NC + 1 + TILE - 1)/TILE)*TILE) /* columns of the derivatives, then the error */
 #define MOST 256
 @PRODUCTS@
 
@@ -22,59 +22,73 @@ static inline double total(v a) {
   return s;
 }
 
-typedef struct { v theta[NP], known[NQ]; long steps; v part; } point;
+/* Parameters, the part of a sample that is one step, and what depends on them alone. */
+typedef struct {
+  v theta[NP], known[NQ], part;
+  long steps;
+  v of_output[output_size], of_step[step_size], of_output_jacobian[output_jacobian_size];
+  v of_step_jacobian[step_jacobian_size], of_output_back[output_back_size], of_step_back[step_back_size];
+} point;
 
 static void point_of(point *p, const double *theta, const double *known, long steps) {
   for (int i = 0; i < NP; i++) p->theta[i] = all(theta[i]);
   for (int i = 0; i < NQ; i++) p->known[i] = all(known[i]);
   p->steps = steps;
   p->part = all(1.0/steps);
+  output_once(p->theta, p->known, p->of_output);
+  step_once(p->theta, p->known, &p->part, p->of_step);
+  output_jacobian_once(p->theta, p->known, p->of_output_jacobian);
+  step_jacobian_once(p->theta, p->known, &p->part, p->of_step_jacobian);
+  output_back_once(p->theta, p->known, p->of_output_back);
+  step_back_once(p->theta, p->known, &p->part, p->of_step_back);
 }
 
 /* State after a sample; x is overwritten. */
 static void onwards(const point *p, v *restrict x, const v *restrict z, v *restrict yhat) {
   v xe[N], e[NY];
-  output(x, z, p->theta, p->known, xe, yhat, e);
+  output(x, z, p->theta, p->known, p->of_output, xe, yhat, e);
   for (long s = 0; s < p->steps; s++) {
     v t = all((double)s/p->steps), next[N];
-    step(xe, z, e, p->theta, p->known, &t, &p->part, next);
+    step(xe, z, e, p->theta, p->known, &t, &p->part, p->of_step, next);
     for (int c = 0; c < N; c++) xe[c] = next[c];
   }
   for (int c = 0; c < N; c++) x[c] = xe[c];
 }
 
+/* Jacobians of some steps by [x, e, theta], in columns: of the first step, of all up to one, and of one by [e, theta].
+   Entries that are always zero are never written. */
+typedef struct { v first[N*NM], upto[2][N*NM], own[N*(NM - N)]; } jacobians;
+
 /* The same with derivatives S, and those of the outputs.
 
-   The Jacobians M of the whole sample by [x, e, theta] come first: they do not grow with the columns of S. */
-static void onwards_with_slopes(const point *p, v *restrict x, v *restrict S, const v *restrict z, v *restrict yhat,
-                                v *restrict psi) {
-  v xe[N], e[NY], X[N*NP], C[NY*N], D[NY*NP], both[2][N*NM], none[N];
-  v *restrict M = both[0], *restrict T = both[1];
-  for (int i = 0; i < N; i++) none[i] = all(0.0);
-  output_jacobian(x, z, p->theta, p->known, xe, yhat, e, X, C, D);
+   The Jacobians of the whole sample come first: they do not grow with the columns of S. */
+static void onwards_with_slopes(const point *p, jacobians *J, v *restrict x, v *restrict S, const v *restrict z,
+                                v *restrict yhat, v *restrict psi) {
+  v xe[N], e[NY], X[N*NP], C[NY*N], D[NY*NP], F[N*N], next[N], *M = J->first;
+  output_jacobian(x, z, p->theta, p->known, p->of_output_jacobian, xe, yhat, e, X, C, D);
   add_start(X, S);
   put_output(D, psi);
   for (int c = 0; c < NC; c++) add_output(C, S + c*N, psi + c*NY);
   for (long s = 0; s < p->steps; s++) {
-    v t = all((double)s/p->steps), next[N], F[N*N], G[N*(NM - N)], *swap = M;
-    step_jacobian(xe, z, e, p->theta, p->known, &t, &p->part, next, F, G);
+    v t = all((double)s/p->steps), *T = J->upto[s%2];
+    step_jacobian(xe, z, e, p->theta, p->known, &t, &p->part, p->of_step_jacobian, next, F, s ? J->own : M + N*N);
     for (int c = 0; c < N; c++) xe[c] = next[c];
-    put_own(G, T + N*N);
-    if (s == 0) put_step(F, T);
+    if (s == 0) put_first(F, M);
     else {
-      for (int c = 0; c < N; c++) add_step(F, M + c*N, none, T + c*N);
-      for (int c = N; c < NM; c++) add_step(F, M + c*N, T + c*N, T + c*N);
+      step_states(F, M, M, T);
+      step_rest(F, M + N*N, J->own, T + N*N);
+      M = T;
     }
-    M = T;
-    T = swap;
   }
-  if (FEEDS) feed(C, D, M + N*N, M, M + (NM - NP)*N);
-  for (int c = 0; c < NP; c++) add_sample(M, S + c*N, M + (NM - NP + c)*N, S + c*N);
-  for (int c = NP; c < NC; c++) add_sample(M, S + c*N, none, S + c*N);
+#if FEEDS
+  feed(C, D, M + N*N, M, M + (NM - NP)*N);
+#endif
+  sample_rest(M, S, M + (NM - NP)*N, S);
+  sample_states(M, S + N*NP, M, S + N*NP);
   for (int c = 0; c < N; c++) x[c] = xe[c];
 }
 
-static void sum_up(int rows, const v *restrict P, const v *restrict E, v *restrict H, v *restrict g) {
+static void sum_up(int rows, const v *restrict P, v *restrict H) {
   for (int i = 0; i < PAD; i += TILE)
     for (int j = i; j < PAD; j += TILE) {
       v a[TILE][TILE];
@@ -87,8 +101,83 @@ static void sum_up(int rows, const v *restrict P, const v *restrict E, v *restri
       }
       for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) H[(i + p)*PAD + j + q] = a[p][q];
     }
-  for (int i = 0; i < NC; i++)
-    for (int t = 0; t < rows; t++) g[i] += P[i*BUF + t]*E[t];
+}
+
+typedef struct { v P[PAD*BUF], H[PAD*PAD], Ht[NP*NP]; jacobians J; } workspace;
+
+/* The workspace is handed over: its address would be looked up again and again within the loops. */
+static void __attribute__((noinline)) sums_with(
+    workspace *w, long groups, long length, long steps, const double *theta, const double *known, const double *R,
+    const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
+    double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end, double *slopes) {
+  v *restrict const P = w->P, *restrict const E = P + NC*BUF, *restrict const H = w->H;
+  v ee[NY*NY];
+  point p;
+  point_of(&p, theta, known, steps);
+  for (int i = 0; i < PAD*BUF; i++) P[i] = all(0.0);
+  for (int i = 0; i < NP*NP; i++) w->Ht[i] = all(0.0);
+  for (int i = 0; i < NY*NY; i++) ee[i] = all(0.0);
+  for (long b = 0; b < groups; b++) {
+    v x[N], S[N*NC];
+    const long long *count = size + 8*b;
+    int ragged = 0, weighted = 0, t = 0;
+    for (int l = 0; l < 8; l++) ragged |= count[l] != length;
+    for (long k = b*length*8; k < (b + 1)*length*8; k++) weighted |= used[k] != 1;
+    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int i = 0; i < N*NC; i++) S[i] = all(i >= N*NP && (i - N*NP)%(N + 1) == 0 ? 1.0 : 0.0);
+    for (int i = 0; i < PAD*PAD; i++) H[i] = all(0.0);
+    if (ragged) {
+      for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+      for (int i = 0; i < N*NC; i++) *(u *)(slopes + (b*N*NC + i)*8) = S[i];
+    }
+    for (long k = 0; k < length; k++) {
+      v z[NZ], yhat[NY], psi[NY*NC], e[NY];
+      const v m = *(const u *)(used + (b*length + k)*8);
+      const m8 live = m != 0.0;
+      for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
+      onwards_with_slopes(&p, &w->J, x, S, z, yhat, psi);
+      for (int j = 0; j < NY; j++)
+        e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, live);
+      if (weighted) for (int i = 0; i < NY*NC; i++) psi[i] = kept(psi[i]*m, live);
+      for (int a = 0; a < NY; a++) {
+        v sum = all(0.0);
+        for (int j = a; j < NY; j++) sum += R[a*NY + j]*e[j];
+        E[t*NY + a] = sum;
+        for (int j = a; j < NY; j++) ee[a*NY + j] += e[a]*e[j];
+        for (int i = 0; i < NC; i++) {
+          v own = R[a*NY + a]*psi[i*NY + a];
+          for (int j = a + 1; j < NY; j++) own += R[a*NY + j]*psi[i*NY + j];
+          P[i*BUF + t*NY + a] = own;
+        }
+      }
+      if (ragged)
+        for (int l = 0; l < 8; l++)
+          if (count[l] == k + 1) {
+            for (int c = 0; c < N; c++) end[(b*N + c)*8 + l] = x[c][l];
+            for (int i = 0; i < N*NC; i++) slopes[(b*N*NC + i)*8 + l] = S[i][l];
+          }
+      if (++t == ROWS || k + 1 == length) {
+        sum_up(t*NY, P, H);
+        t = 0;
+      }
+    }
+    if (!ragged) {
+      for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
+      for (int i = 0; i < N*NC; i++) *(u *)(slopes + (b*N*NC + i)*8) = S[i];
+    }
+    for (int i = 0; i < NP; i++) {
+      for (int j = i; j < NP; j++) w->Ht[i*NP + j] += H[i*PAD + j];
+      for (int j = 0; j < N; j++) *(u *)(mixed + ((b*NP + i)*N + j)*8) = H[i*PAD + NP + j];
+    }
+    for (int i = 0; i < N; i++)
+      for (int j = i; j < N; j++)
+        *(u *)(by_start + ((b*N + i)*N + j)*8) = *(u *)(by_start + ((b*N + j)*N + i)*8) = H[(NP + i)*PAD + NP + j];
+    for (int i = 0; i < NC; i++) *(u *)(gradient + (b*NC + i)*8) = -H[i*PAD + NC];
+  }
+  for (int i = 0; i < NP; i++)
+    for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(w->Ht[i*NP + j]);
+  for (int a = 0; a < NY; a++)
+    for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
 }
 
 /* Sums of the Gauss-Newton problem; arrays as for SampleSums, the eight blocks of a group innermost. */
@@ -96,67 +185,9 @@ void gbid_sums(long groups, long length, long steps, const double *theta, const 
                const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
                double *hessian, double *products, double *gradient, double *mixed, double *by_start, double *end,
                double *slopes) {
-  static __thread v buffer[PAD*BUF + BUF + PAD*PAD + NP*NP];
-  v *restrict const P = buffer, *restrict const E = P + PAD*BUF, *restrict const H = E + BUF, *restrict const Ht = H + PAD*PAD;
-  v ee[NY*NY];
-  point p;
-  point_of(&p, theta, known, steps);
-  for (int i = 0; i < PAD*BUF; i++) P[i] = all(0.0);
-  for (int i = 0; i < NP*NP; i++) Ht[i] = all(0.0);
-  for (int i = 0; i < NY*NY; i++) ee[i] = all(0.0);
-  for (long b = 0; b < groups; b++) {
-    v x[N], S[N*NC], g[NC];
-    const long long *count = size + 8*b;
-    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
-    for (int i = 0; i < N*NC; i++) S[i] = all(i >= N*NP && (i - N*NP)%(N + 1) == 0 ? 1.0 : 0.0);
-    for (int i = 0; i < NC; i++) g[i] = all(0.0);
-    for (int i = 0; i < PAD*PAD; i++) H[i] = all(0.0);
-    for (int c = 0; c < N; c++) *(u *)(end + (b*N + c)*8) = x[c];
-    for (int i = 0; i < N*NC; i++) *(u *)(slopes + (b*N*NC + i)*8) = S[i];
-    int t = 0;
-    for (long k = 0; k < length; k++) {
-      v z[NZ], yhat[NY], psi[NY*NC], e[NY];
-      const v m = *(const u *)(used + (b*length + k)*8);
-      const m8 live = m != 0.0;
-      for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
-      onwards_with_slopes(&p, x, S, z, yhat, psi);
-      for (int j = 0; j < NY; j++)
-        e[j] = kept((*(const u *)(ys + ((b*length + k)*NY + j)*8) - yhat[j])*m, live);
-      for (int i = 0; i < NY*NC; i++) psi[i] = kept(psi[i]*m, live);
-      for (int a = 0; a < NY; a++) {
-        v sum = all(0.0);
-        for (int j = a; j < NY; j++) sum += R[a*NY + j]*e[j];
-        E[t*NY + a] = sum;
-        for (int j = a; j < NY; j++) ee[a*NY + j] += e[a]*e[j];
-        for (int i = 0; i < NC; i++) {
-          v own = all(0.0);
-          for (int j = a; j < NY; j++) own += R[a*NY + j]*psi[i*NY + j];
-          P[i*BUF + t*NY + a] = own;
-        }
-      }
-      for (int l = 0; l < 8; l++)
-        if (count[l] == k + 1) {
-          for (int c = 0; c < N; c++) end[(b*N + c)*8 + l] = x[c][l];
-          for (int i = 0; i < N*NC; i++) slopes[(b*N*NC + i)*8 + l] = S[i][l];
-        }
-      if (++t == ROWS || k + 1 == length) {
-        sum_up(t*NY, P, E, H, g);
-        t = 0;
-      }
-    }
-    for (int i = 0; i < NP; i++) {
-      for (int j = i; j < NP; j++) Ht[i*NP + j] += H[i*PAD + j];
-      for (int j = 0; j < N; j++) *(u *)(mixed + ((b*NP + i)*N + j)*8) = H[i*PAD + NP + j];
-    }
-    for (int i = 0; i < N; i++)
-      for (int j = i; j < N; j++)
-        *(u *)(by_start + ((b*N + i)*N + j)*8) = *(u *)(by_start + ((b*N + j)*N + i)*8) = H[(NP + i)*PAD + NP + j];
-    for (int i = 0; i < NC; i++) *(u *)(gradient + (b*NC + i)*8) = -g[i];
-  }
-  for (int i = 0; i < NP; i++)
-    for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(Ht[i*NP + j]);
-  for (int a = 0; a < NY; a++)
-    for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
+  static __thread workspace w;
+  sums_with(&w, groups, length, steps, theta, known, R, zs, ys, used, size, starts, hessian, products, gradient, mixed,
+            by_start, end, slopes);
 }
 
 /* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
@@ -186,6 +217,7 @@ void gbid_passed(long groups, long length, long steps, const double *theta, cons
 /* Derivatives of the outputs, sample by sample, from given states and derivatives at the starts. */
 void gbid_psi(long groups, long length, long steps, const double *theta, const double *known, const double *zs,
               const double *starts, const double *first, double *slopes) {
+  static __thread jacobians J;
   point p;
   point_of(&p, theta, known, steps);
   for (long b = 0; b < groups; b++) {
@@ -194,7 +226,7 @@ void gbid_psi(long groups, long length, long steps, const double *theta, const d
     for (int i = 0; i < N*NC; i++) S[i] = *(const u *)(first + (b*N*NC + i)*8);
     for (long k = 0; k < length; k++) {
       for (int i = 0; i < NZ; i++) z[i] = *(const u *)(zs + ((b*length + k)*NZ + i)*8);
-      onwards_with_slopes(&p, x, S, z, yhat, psi);
+      onwards_with_slopes(&p, &J, x, S, z, yhat, psi);
       for (int i = 0; i < NY*NC; i++) *(u *)(slopes + ((b*length + k)*NY*NC + i)*8) = psi[i];
     }
   }
@@ -269,24 +301,24 @@ void gbid_adjoint(long windows, long length, long steps, const double *theta, co
           for (int c = 0; c < NY; c++) onto[c][l] = -weighted[(row*NY + c)*8 + lane];
         }
         if (!any) continue;
-        output(x, z, p.theta, p.known, passed[0], yhat, e);
+        output(x, z, p.theta, p.known, p.of_output, passed[0], yhat, e);
         for (long s = 0; s + 1 < p.steps; s++) {
           v t = all((double)s/p.steps);
-          step(passed[s], z, e, p.theta, p.known, &t, &p.part, passed[s + 1]);
+          step(passed[s], z, e, p.theta, p.known, &t, &p.part, p.of_step, passed[s + 1]);
         }
         for (int c = 0; c < N; c++) back[c] = a[c];
         for (int c = 0; c < NY; c++) by_error[c] = all(0.0);
         for (int c = 0; c < NP; c++) own[c] = all(0.0);
         for (long s = p.steps - 1; s >= 0; s--) {
           v t = all((double)s/p.steps), before[N];
-          step_back(passed[s], z, e, p.theta, p.known, &t, &p.part, back, before, be, more);
+          step_back(passed[s], z, e, p.theta, p.known, &t, &p.part, back, p.of_step_back, before, be, more);
           for (int c = 0; c < N; c++) back[c] = before[c];
           for (int c = 0; c < NY; c++) by_error[c] += be[c];
           for (int c = 0; c < NP; c++) own[c] += more[c];
         }
         if (FEEDS) for (int c = 0; c < NY; c++) onto[c] -= by_error[c];
         v before[N];
-        output_back(x, z, p.theta, p.known, back, onto, before, more);
+        output_back(x, z, p.theta, p.known, back, onto, p.of_output_back, before, more);
         for (int c = 0; c < N; c++) a[c] = kept(before[c], live) + kept(a[c], ~live);
         for (int c = 0; c < NP; c++) sum[c] += kept(own[c] + more[c], live);
       }
