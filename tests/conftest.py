@@ -30,6 +30,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     items.sort(key=lambda item: not item.name.startswith("test_code_cells_run"))
     gc.collect()
     gc.freeze()  # else each collection of garbage goes through half a million objects of pytest
+    gc.set_threshold(50_000, 20, 50)  # symbols and pictures are many objects, few of them garbage
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -11,12 +11,15 @@ from html import unescape
 import pytest
 from experiment_files import gbid as command
 from experiment_files import write_quick
+from figure_cases import BlankPictures
 from typer.testing import CliRunner
 
 from gbid.cli.main import app
 from gbid.control.assessment.compare import COLUMNS
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
+from gbid.report.html import report_file
+from gbid.report.paper import paper_files
 from gbid.report.reader import Results
 
 CONDITIONS = {"sample_time_s": 1e-3, "method": "zoh"}
@@ -79,7 +82,8 @@ def test_terminal(made, expected, capsys):
         assert line.removeprefix(heading).split() == cells
 
 
-def test_paper_tables(made, expected, capsys):
+def test_paper_tables(made, expected, monkeypatch):
+    monkeypatch.setattr(paper_files, "save_figure", lambda _figure, part, **_: part.touch())
     assert command("figures", made) == 0
     folder = made.parent / "results" / "slow" / "figures"
     lines = [line for line in (folder / "designs.csv").read_text().splitlines() if not line.startswith("#")]
@@ -93,7 +97,8 @@ def test_paper_tables(made, expected, capsys):
     assert {heading: rows[heading] for heading in expected} == expected
 
 
-def test_report(made, expected):
+def test_report(made, expected, monkeypatch):
+    monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     command("report", made)
     page = unescape((made.parent / "results" / "slow" / "report.html").read_text(encoding="utf-8"))
     section = page[page.index('id="controller"') :]

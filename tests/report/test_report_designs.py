@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from experiment_files import STAIRS, write_quick
 from experiment_files import gbid as command
+from figure_cases import BlankPictures
 
 import gbid
 from gbid import report
@@ -18,7 +19,7 @@ from gbid.control.assessment.tuned_design import load_tuned
 from gbid.errors import DataError
 from gbid.experiment.load import load_experiment
 from gbid.experiment.run.job import Job
-from gbid.report.html import write_report
+from gbid.report.html import report_file, write_report
 from gbid.report.html.sections.tuned_blocks import held_back
 from gbid.report.paper.paper_tables import TABLES
 from gbid.report.paper.reproduction_tables import reproduction_markdown
@@ -153,7 +154,8 @@ def test_designs_of_other_settings_are_not_shown_as_present(made, tmp_path) -> N
         assert Results(Job(load_experiment(other, tmp_path / "out"))).tuned
 
 
-def test_report_shows_the_static_characterisation(tmp_path) -> None:
+def test_report_shows_the_static_characterisation(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(report_file, "Pictures", BlankPictures)
     path = write_quick(tmp_path, text=STAIRS)
     early = write_report(Job(load_experiment(path)))
     assert "static film not there; run `gbid static`" in early.path.read_text(encoding="utf-8")

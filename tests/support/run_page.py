@@ -7,6 +7,7 @@ and tables.
 
 from __future__ import annotations
 
+import gc
 import linecache
 import multiprocessing
 import os
@@ -72,6 +73,8 @@ def run_apart(path: Path, folder: Path, surroundings: Mapping[str, str]) -> tupl
 
 
 def _run_into(path: Path, folder: Path, surroundings: Mapping[str, str], output: Path) -> None:
+    gc.freeze()  # else each collection of garbage goes through the libraries
+    gc.set_threshold(50_000, 20, 50)
     os.environ.update(surroundings)
     os.chdir(folder)
     place = os.open(output, os.O_CREAT | os.O_WRONLY)
