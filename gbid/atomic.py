@@ -143,12 +143,14 @@ def _prefix(name: str) -> str:
 def _begun(process: int) -> str:
     """Return when a process began, in ticks since the start of the machine; empty where that is not known.
 
-    Numbers of processes are given again, and clocks are set.
+    Numbers of processes are given again, and clocks are set. Of a process that has ended, and that its parent has not
+    noticed yet (state Z), the answer is empty, too.
     """
     try:
-        return Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()[19]
-    except (OSError, IndexError):
+        state, *fields = Path(f"/proc/{process}/stat").read_text(errors="replace").rpartition(")")[2].split()
+    except (OSError, ValueError):
         return ""
+    return fields[18] if state != "Z" and len(fields) > 18 else ""
 
 
 def _is_stale(path: Path, host: str, process: int, begun: str | None) -> bool:

@@ -502,6 +502,20 @@ def test_stale_temporary_files_of_ours_are_removed(tmp_path):
     assert removed == {old.name, *(name for name, stale in names.items() if stale)}
 
 
+@PROC
+def test_temporary_files_of_a_process_that_ended_unnoticed_are_stale(tmp_path):
+    code = "import sys; from gbid.atomic import _prefix; print(_prefix('a.h5'), flush=True); sys.stdin.read()"
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE}
+    with subprocess.Popen([sys.executable, "-c", code], **pipes, text=True) as child:
+        part = tmp_path / f"{child.stdout.readline().strip()}x.part"
+        part.write_text("")
+        assert remove_stale_parts(tmp_path) == []
+        child.kill()
+        while alive(child.pid):  # the child waits for this process to take note of its end
+            time.sleep(0.01)
+        assert remove_stale_parts(tmp_path) == [part]
+
+
 def test_engines_by_name():
     assert isinstance(make_engine("serial"), InTurn)
     with contextlib.closing(make_engine("auto", 3)) as engine:

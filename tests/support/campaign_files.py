@@ -78,12 +78,13 @@ def interrupts_blocked(pid: int) -> bool:
 
 
 def alive(pid: int) -> bool:
-    """Whether a process is there."""
+    """Whether a process runs; one that has ended may wait for seconds until its parent hears it."""
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
+        status = Path(f"/proc/{pid}/status").read_text() if Path("/proc/self").is_dir() else ""
+    except (ProcessLookupError, FileNotFoundError):
         return False
-    return True
+    return "\nState:\tZ" not in status
 
 
 def stamps(results: Path) -> dict[str, int]:
