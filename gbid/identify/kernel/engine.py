@@ -17,7 +17,7 @@ from gbid.identify.kernel.block_sums import Adjoint, BlockSums, PassEngine, Pred
 from gbid.identify.kernel.blocks import LANES, Blocks
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.kernel.second_source import second_source
-from gbid.identify.kernel.source import KernelPattern, kernel_source
+from gbid.identify.kernel.source import TILE, KernelPattern, kernel_source
 from gbid.identify.predictor import PredictorValues
 
 EngineName = Literal["auto", "compiled", "numpy"]
@@ -126,7 +126,9 @@ class CompiledEngine:
         gradient_start, end = np.empty((n_groups, n, lanes)), np.empty((n_groups, n, lanes))
         mixed, end_theta = np.empty((n_groups, n_p, n, lanes)), np.zeros((n_groups, n_p, n, lanes))
         size = np.ascontiguousarray(blocks.size, np.int64)
-        arrays = [*(np.ascontiguousarray(a) for a in v[:8]), root, free, z, blocks.y, blocks.used, size, by_group]
+        response = np.zeros((length, n_y, -(-n // TILE) * TILE))
+        response[:, :, :n] = free
+        arrays = [*(np.ascontiguousarray(a) for a in v[:8]), root, response, z, blocks.y, blocks.used, size, by_group]
         results = [hessian, products, gradient, gradient_start, mixed, end, end_theta]
         self._pass(ctypes.c_long(n_groups), ctypes.c_long(length), *(pointer_of(a) for a in arrays + results))
         return BlockSums(

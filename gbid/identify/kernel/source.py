@@ -13,8 +13,8 @@ import numpy as np
 
 from gbid.arrays import BoolArray
 
-_BUFFER_BYTES = 96 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
-_TILE = 4
+_BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
+TILE = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +65,7 @@ def kernel_source(pattern: KernelPattern) -> str:
     """
     n, n_z = pattern.G.shape
     n_y, n_p = pattern.C.shape[0], len(pattern.dF)
-    padded = -(-n_p // _TILE) * _TILE
+    padded = -(-(n_p + 1) // TILE) * TILE
     steps = max(4, _BUFFER_BYTES // (padded * n_y * 64))
     step = [*_outputs(pattern), *_state(pattern)]
     for i in range(n_p):
@@ -77,8 +77,9 @@ def kernel_source(pattern: KernelPattern) -> str:
         NY=n_y,
         NP=n_p,
         NPP=padded,
+        NT=-(-n // TILE) * TILE,
         STEPS=steps,
-        TILE=_TILE,
+        TILE=TILE,
         STEP="\n".join("      " + line for line in step),
         PREDICT="\n".join("      " + line for line in [*_errors(pattern), *_state(pattern)]),
         BACK="\n".join("      " + line for line in _adjoint(pattern)),
@@ -176,12 +177,14 @@ _TEMPLATE = """\
 #define NY {NY}
 #define NP {NP}
 #define NPP {NPP}
+#define NT {NT}
 #define BUF ({STEPS}*NY)
 #define TILE {TILE}
 
-/* Sums over the samples of one buffer; U are the roots of their weights, or NULL where all are 1 or 0. */
-static void add_up(int rows, v *restrict P, const v *restrict E, const double *restrict T, const v *restrict U,
-                   v *restrict H, v *restrict g, v *restrict M, v *restrict gx) {{
+/* Sums over the samples of one buffer, whose row after those of the parameters is the error. U are the roots of their
+   weights, or NULL where all are 1 or 0: P has one root already, T has none. */
+static void add_up(int rows, v *restrict P, const double *restrict T, const v *restrict U, v *restrict H,
+                   v *restrict M) {{
   for (int i = 0; i < NPP; i += TILE)
     for (int j = i; j < NPP; j += TILE) {{
       v a[TILE][TILE];
@@ -194,57 +197,47 @@ static void add_up(int rows, v *restrict P, const v *restrict E, const double *r
       }}
       for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) H[(i + p)*NPP + j + q] = a[p][q];
     }}
-  if (U) {{ /* P and E have one root already; T has none */
-    for (int i = 0; i < NP; i++)
+  if (U) for (int i = 0; i <= NP; i++) for (int t = 0; t < rows; t++) P[i*BUF + t] *= U[t];
+  for (int i = 0; i < NPP; i += TILE)
+    for (int c = 0; c < NT; c += TILE) {{
+      v a[TILE][TILE];
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) a[p][q] = M[(i + p)*NT + c + q];
       for (int t = 0; t < rows; t++) {{
-        g[i] += P[i*BUF + t]*E[t];
-        P[i*BUF + t] *= U[t];
-        for (int c = 0; c < N; c++) M[i*N + c] += P[i*BUF + t]*T[t*N + c];
+        v l[TILE];
+        for (int p = 0; p < TILE; p++) l[p] = P[(i + p)*BUF + t];
+        for (int q = 0; q < TILE; q++) for (int p = 0; p < TILE; p++) a[p][q] += l[p]*T[t*NT + c + q];
       }}
-    for (int t = 0; t < rows; t++)
-      for (int c = 0; c < N; c++) gx[c] += E[t]*U[t]*T[t*N + c];
-    return;
-  }}
-  for (int i = 0; i < NP; i++) {{
-    v a[N], b = g[i];
-    for (int c = 0; c < N; c++) a[c] = M[i*N + c];
-    for (int t = 0; t < rows; t++) {{
-      const v p = P[i*BUF + t];
-      b += p*E[t];
-      for (int c = 0; c < N; c++) a[c] += p*T[t*N + c];
+      for (int p = 0; p < TILE; p++) for (int q = 0; q < TILE; q++) M[(i + p)*NT + c + q] = a[p][q];
     }}
-    g[i] = b;
-    for (int c = 0; c < N; c++) M[i*N + c] = a[c];
-  }}
-  for (int t = 0; t < rows; t++)
-    for (int c = 0; c < N; c++) gx[c] += E[t]*T[t*N + c];
 }}
 
-/* Arrays as documented for BlockSums, the eight blocks of a group innermost. */
-void gbid_pass(long groups, long length,
-               const double *restrict F, const double *restrict G, const double *restrict C, const double *restrict H,
-               const double *restrict dF, const double *restrict dG, const double *restrict dC,
-               const double *restrict dH, const double *restrict R, const double *restrict T,
-               const double *restrict zs, const double *restrict ys, const double *restrict used,
-               const long long *restrict size, const double *restrict starts,
-               double *restrict hessian, double *restrict products,
-               double *restrict gradient, double *restrict gradient_start, double *restrict mixed, double *restrict end,
-               double *restrict end_theta) {{
+typedef struct {{ v P[NPP*BUF], U[BUF], hs[NPP*NPP], M[NPP*NT], S[NP*N]; }} workspace;
+
+/* Arrays as documented for BlockSums, the eight blocks of a group innermost; T has NT columns. The workspace is handed
+   over: its address would be looked up again and again within the loops. */
+static void __attribute__((noinline)) pass_with(
+    workspace *w, long groups, long length, const double *restrict F, const double *restrict G,
+    const double *restrict C, const double *restrict H, const double *restrict dF, const double *restrict dG,
+    const double *restrict dC, const double *restrict dH, const double *restrict R, const double *restrict T,
+    const double *restrict zs, const double *restrict ys, const double *restrict used, const long long *restrict size,
+    const double *restrict starts, double *restrict hessian, double *restrict products, double *restrict gradient,
+    double *restrict gradient_start, double *restrict mixed, double *restrict end, double *restrict end_theta) {{
   const v zero = {{0}};
-  static __thread v P[NPP*BUF], E[BUF], U[BUF], hs[NPP*NPP], S[NP*N];
+  v *restrict const P = w->P, *restrict const E = P + NP*BUF, *restrict const U = w->U, *restrict const hs = w->hs,
+    *restrict const M = w->M, *restrict const S = w->S;
   v ee[NY*NY];
-  (void)G; (void)H; (void)dG; (void)dC; (void)dH;
   for (int i = 0; i < NPP*BUF; i++) P[i] = zero;
   for (int i = 0; i < NPP*NPP; i++) hs[i] = zero;
   for (int i = 0; i < NY*NY; i++) ee[i] = zero;
   for (long b = 0; b < groups; b++) {{
-    v x[N], nx[N], e[NY], M[NP*N], gx[N], g[NP];
-    for (int i = 0; i < NP; i++) g[i] = zero;
+    v x[N], nx[N], e[NY];
+    for (int i = 0; i < NPP; i++) hs[i*NPP + NP] = zero; /* the gradient is that of a block */
+    for (int i = 0; i < NPP*NT; i++) M[i] = zero;
     const long long *count = size + 8*b;
     int ragged = 0;
     for (int l = 0; l < 8; l++) ragged |= count[l] != length;
-    for (int c = 0; c < N; c++) {{ x[c] = *(const u *)(starts + (b*N + c)*8); gx[c] = zero; }}
-    for (int i = 0; i < NP*N; i++) S[i] = M[i] = zero;
+    for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
+    for (int i = 0; i < NP*N; i++) S[i] = zero;
     double *restrict end_b = end + b*N*8, *restrict end_theta_b = end_theta + b*NP*N*8;
     if (ragged)
       for (int c = 0; c < N; c++) *(u *)(end_b + c*8) = x[c];
@@ -264,7 +257,7 @@ void gbid_pass(long groups, long length,
             for (int i = 0; i < NP*N; i++) end_theta_b[i*8 + l] = S[i][l];
           }}
       if (++t == BUF/NY || k + 1 == length) {{
-        add_up(t*NY, P, E, T + (k + 1 - t)*NY*N, weighted ? U : 0, hs, g, M, gx);
+        add_up(t*NY, P, T + (k + 1 - t)*NY*NT, weighted ? U : 0, hs, M);
         t = 0;
       }}
     }}
@@ -272,14 +265,23 @@ void gbid_pass(long groups, long length,
       for (int c = 0; c < N; c++) *(u *)(end_b + c*8) = x[c];
       for (int i = 0; i < NP*N; i++) *(u *)(end_theta_b + i*8) = S[i];
     }}
-    for (int i = 0; i < NP*N; i++) *(u *)(mixed + (b*NP*N + i)*8) = M[i];
-    for (int i = 0; i < NP; i++) *(u *)(gradient + (b*NP + i)*8) = -g[i];
-    for (int c = 0; c < N; c++) *(u *)(gradient_start + (b*N + c)*8) = -gx[c];
+    for (int i = 0; i < NP; i++) for (int c = 0; c < N; c++) *(u *)(mixed + ((b*NP + i)*N + c)*8) = M[i*NT + c];
+    for (int i = 0; i < NP; i++) *(u *)(gradient + (b*NP + i)*8) = -hs[i*NPP + NP];
+    for (int c = 0; c < N; c++) *(u *)(gradient_start + (b*N + c)*8) = -M[NP*NT + c];
   }}
   for (int i = 0; i < NP; i++)
     for (int j = i; j < NP; j++) hessian[i*NP + j] = hessian[j*NP + i] = total(hs[i*NPP + j]);
   for (int a = 0; a < NY; a++)
     for (int c = a; c < NY; c++) products[a*NY + c] = products[c*NY + a] = total(ee[a*NY + c]);
+}}
+
+void gbid_pass(long groups, long length, const double *F, const double *G, const double *C, const double *H,
+               const double *dF, const double *dG, const double *dC, const double *dH, const double *R, const double *T,
+               const double *zs, const double *ys, const double *used, const long long *size, const double *starts,
+               double *h, double *products, double *g, double *gx, double *m, double *end, double *end_theta) {{
+  static __thread workspace w;
+  pass_with(&w, groups, length, F, G, C, H, dF, dG, dC, dH, R, T, zs, ys, used, size, starts, h, products, g, gx, m,
+            end, end_theta);
 }}
 
 /* States, errors, and the products of errors of each block, from given starts. Without `states` the products alone. */
@@ -289,7 +291,6 @@ void gbid_predict(long groups, long length,
                   const double *restrict used, const double *restrict starts,
                   double *restrict states, double *restrict errors, double *restrict end, double *restrict products) {{
   const v zero = {{0}};
-  (void)G; (void)H;
   for (long b = 0; b < groups; b++) {{
     v x[N], nx[N], e[NY], ee[NY*NY];
     for (int c = 0; c < N; c++) x[c] = *(const u *)(starts + (b*N + c)*8);
