@@ -37,11 +37,13 @@ from gbid.identify.uncertainty.bootstrap import StdName, asked_bootstrap
 from gbid.recording import Recording
 from gbid.recording.argument_order import check_order
 from gbid.structure import AnyStructure, NonlinearStructure, ScheduledStructure, symbolic_matrices
+from gbid.structure.asked_once import asked_once
 from gbid.threads import one_blas_thread
 
 _ENOUGH_ITERATIONS = 50  # with fewer, what the caller wants is the way from the start, not another start
 
 
+@asked_once()
 def fit(
     structure: AnyStructure,
     recordings: Recording | Sequence[Recording],

@@ -13,6 +13,7 @@ import numpy as np
 from gbid.brief import Brief
 from gbid.discretise import Hold, discretise
 from gbid.errors import UsageError
+from gbid.structure.asked_once import once
 from gbid.structure.loop.closing import ControlLaw, HeldFeedback, LoopParts
 from gbid.structure.numeric.linear_model import LinearModel
 from gbid.structure.parameter import Parameter, Values
@@ -187,6 +188,7 @@ def as_names(names: str | Sequence[str]) -> tuple[str, ...]:
     return (names,) if isinstance(names, str) else tuple(names)
 
 
+@once
 def symbolic_matrices(structure: Structure) -> tuple[ca.SX, Matrices]:
     """Return the matrices of a structure as functions of one symbolic vector of its parameters.
 

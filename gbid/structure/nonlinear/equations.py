@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import lru_cache
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from gbid.errors import UsageError
+from gbid.structure.asked_once import once
 from gbid.structure.linear import in_one_line
 from gbid.structure.nonlinear.nonlinear_structure import NonlinearStructure
 from gbid.structure.parameter import Values
@@ -63,8 +63,9 @@ class Equations(NamedTuple):
         return tuple(self.delay.sparsity().row())
 
 
+@once
 def symbolic_equations(structure: NonlinearStructure) -> Equations:
-    """Return the equations of a structure; its functions are called once for the several parts of a fit.
+    """Return the equations of a structure.
 
     Parameters
     ----------
@@ -81,25 +82,6 @@ def symbolic_equations(structure: NonlinearStructure) -> Equations:
     UsageError
         When a function of the structure fails, or returns what is no CasADi expression, or of wrong size.
     """
-    return _equations(_Itself(structure))
-
-
-class _Itself:
-    """A structure that is equal only to itself: its functions need not be hashable."""
-
-    def __init__(self, structure: NonlinearStructure) -> None:
-        self.structure = structure
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Itself) and self.structure is other.structure
-
-    def __hash__(self) -> int:
-        return id(self.structure)
-
-
-@lru_cache(maxsize=8)
-def _equations(of: _Itself) -> Equations:
-    structure = of.structure
     x, u = _symbols(structure.states), _symbols(structure.inputs)
     p = _symbols([q.name for q in structure.parameters])
     known, n, n_y = Values.of(structure.parameters, p), len(structure.states), len(structure.outputs)
