@@ -4,7 +4,8 @@
 
 Results stay in the folder. What is there already is kept and not timed, but for the fits, which are always made again.
 A first fit compiles the kernel or loads it, and is not timed. Processor time is that of all processes, with the start
-of the workers, which load gbid.
+of the workers, which load gbid. Wall time is what one waits for a stage. It is processor time over workers only where
+the machine has nothing else to do: with the cores in use the table shows whether it had.
 """
 
 from __future__ import annotations
@@ -108,9 +109,12 @@ def _spent() -> float:
 
 
 def bill_table(run: dict[str, Any]) -> str:
-    """The numbers as Markdown, without wall times, which other work on the machine makes longer."""
-    lines = ["| stage | processor time [s] |", "|---|---|"]
-    lines += [f"| {text} | {run['stages'][key]['cpu_s']:.1f} |" for key, text in ROWS.items() if key in run["stages"]]
+    """The numbers as Markdown, and how busy the workers were: far less than all cores means other work beside them."""
+    lines = ["| stage | processor time [s] | wall time [s] | cores in use |", "|---|---|---|---|"]
+    for key, text in ROWS.items():
+        if key in run["stages"]:
+            cpu, wall = (run["stages"][key][name] for name in ("cpu_s", "wall_s"))
+            lines.append(f"| {text} | {cpu:.1f} | {wall:.1f} | {cpu / wall:.1f} |")
     about = f"{run['fits']} fits, {run['workers']} workers, {run['processor']}, {run['date']}, gbid {run['gbid']}."
     return "\n".join([*lines, "", about])
 
