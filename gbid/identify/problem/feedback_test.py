@@ -45,7 +45,8 @@ def share_of_feedback(record: Record, errors: FloatArray) -> float:
     own = np.hstack([u[begin - lag : n - lag] for lag in range(1, _PAST_INPUTS + 1)])
     past = np.hstack([e[begin - lag : n - lag] for lag in range(1, _PAST_ERRORS + 1)])
     own, past, now = (part / np.maximum(part.std(axis=0), np.finfo(float).tiny) for part in (own, past, u[begin:]))
-    new, beyond = (part - own @ np.linalg.lstsq(own, part, rcond=None)[0] for part in (now, past))
+    both = np.hstack([now, past])  # decomposed once for both
+    new, beyond = np.hsplit(both - own @ np.linalg.lstsq(own, both, rcond=None)[0], [now.shape[1]])
     left = new - beyond @ np.linalg.lstsq(beyond, new, rcond=None)[0]
     power = (new**2).sum(axis=0)
     share = 1 - (left**2).sum(axis=0) / np.where(power > 0, power, 1.0)
