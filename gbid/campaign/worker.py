@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import signal
@@ -24,6 +25,8 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_end_with_runner, daemon=True).start()
     from gbid.campaign.shipping import attempt  # imports all packages, once, before the first task
 
+    gc.freeze()  # what was imported stays: without it, each collection of garbage would go through all of it
+    gc.set_threshold(50_000, 20, 50)  # symbols are many objects, few of them garbage: a fit takes 6 % less
     connection.send(READY)
     job = None
     try:
