@@ -13,10 +13,11 @@ import numpy as np
 from gbid import hdf5
 from gbid.arrays import FloatArray
 from gbid.hdf5 import Stored
-from gbid.naming.paths import given_path
 from gbid.prefilter.prefilter import PrefilterReport
 from gbid.prefilter.runout import RunoutMap
+from gbid.recording import Recording
 from gbid.recording.recording_store import KIND as RECORDING
+from gbid.recording.recording_store import write_recording
 
 KIND = hdf5.FileKind("prefilter", "make it again with `gbid run`")
 
@@ -91,9 +92,10 @@ def load_prefilter(path: str | Path) -> tuple[RunoutMap | None, tuple[PrefilterR
         return runout_map, tuple(_read_report(group) for group in hdf5.read_group(file, "reports").values())
 
 
-def add_report(path: str | Path, report: PrefilterReport) -> None:
-    """Write the report of a prefiltered recording to the file of the recording, as group ``prefilter_report``."""
-    with hdf5.changing(given_path(path)) as file:
+def save_prefiltered(filtered: Recording, report: PrefilterReport, path: Path) -> None:
+    """Write a prefiltered recording with its report, as group ``prefilter_report``; an earlier file is replaced."""
+    with hdf5.writing(path, RECORDING, overwrite=True) as file:
+        write_recording(file, filtered)
         _write_report(file.create_group("prefilter_report"), report)
 
 

@@ -125,17 +125,20 @@ def _weak_form(rec: Recording, p: FloatArray, half: int) -> tuple[FloatArray, Fl
 def _robust_residual(weighted: FloatArray, basis: FloatArray, some: npt.NDArray[np.int_]) -> tuple[FloatArray, float]:
     """Return the residual of a robust regression on some samples, at all samples, and its standard deviation."""
     for _ in range(_ROUNDS):
-        residual = weighted - basis @ _least_squares(basis[some], weighted[some])
-        size = np.abs(residual[some] - np.median(residual[some], axis=0))
+        own, wanted = basis[some], weighted[some]
+        found = _least_squares(own, wanted)
+        left = wanted - own @ found
+        size = np.abs(left - np.median(left, axis=0))
         sigma = 1.4826 * float(np.median(size, axis=0).max())
         some = some[(size < _TRIM * sigma).all(axis=1)] if sigma else some
-    return residual, sigma
+    return weighted - basis @ found, sigma
 
 
 def _film(p: FloatArray) -> FloatArray:
     """Return the regressors of a film that stiffens about an unknown centre."""
-    x, y = p.T
-    return np.stack([x**2, x * y, y**2, x**3, x**2 * y, x * y**2, y**3], axis=-1)
+    x, y = np.ascontiguousarray(p.T)
+    xx, yy = x * x, y * y  # products: powers of numpy call a function for each sample
+    return np.stack([xx, x * y, yy, x * xx, xx * y, x * yy, y * yy]).T
 
 
 def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> BoolArray:
@@ -148,7 +151,7 @@ def _apart(at: npt.NDArray[np.int_], hit: npt.NDArray[np.int_], gap: int) -> Boo
 
 
 def _correlate(values: FloatArray, window: FloatArray) -> FloatArray:
-    return np.stack([np.correlate(column, window, mode="valid") for column in values.T], axis=-1)
+    return np.stack([np.correlate(column, window, mode="valid") for column in values.T]).T
 
 
 def _in_motion(weighted: FloatArray) -> npt.NDArray[np.int_]:

@@ -41,16 +41,21 @@ def save_recording(rec: Recording, path: str | Path, overwrite: bool = False) ->
         When the file cannot be written.
     """
     with hdf5.writing(path, KIND, overwrite) as file:
-        file.attrs["name"] = rec.name
-        file.attrs["default"] = "signals"
-        hdf5.add_dataset(file, "sample_time", rec.sample_time, "s", "time between samples")
-        _write_signals(file.create_group("signals", track_order=True), rec)
-        conditions = file.create_group("conditions", track_order=True)
-        for key, value in rec.conditions.items():
-            hdf5.add_dataset(conditions, key, value, CONDITION_UNITS.get(key, ""), key.replace("_", " "))
-        provenance = file.create_group("provenance")
-        for key, text in rec.provenance.items():
-            provenance.attrs[key] = text
+        write_recording(file, rec)
+
+
+def write_recording(file: h5py.File, rec: Recording) -> None:
+    """Write a recording to an open file, to which its maker may add more."""
+    file.attrs["name"] = rec.name
+    file.attrs["default"] = "signals"
+    hdf5.add_dataset(file, "sample_time", rec.sample_time, "s", "time between samples")
+    _write_signals(file.create_group("signals", track_order=True), rec)
+    conditions = file.create_group("conditions", track_order=True)
+    for key, value in rec.conditions.items():
+        hdf5.add_dataset(conditions, key, value, CONDITION_UNITS.get(key, ""), key.replace("_", " "))
+    provenance = file.create_group("provenance")
+    for key, text in rec.provenance.items():
+        provenance.attrs[key] = text
 
 
 def load_recording(path: str | Path) -> Recording:

@@ -30,9 +30,9 @@ from gbid.prefilter import (
     save_prefilter,
 )
 from gbid.prefilter.align import refuse_lost_index
-from gbid.prefilter.prefilter_store import add_report, read_report
+from gbid.prefilter.prefilter_store import read_report, save_prefiltered
 from gbid.prefilter.residual import leftover_words
-from gbid.recording import Recording, save_recording, with_unbalance
+from gbid.recording import Recording, with_unbalance
 
 FOLDER = "prefiltered"
 MAP_FOLDER = "prefilter"
@@ -108,8 +108,7 @@ def _write_prefiltered(job: Job, name: str, part: Path) -> None:
     driving = driving_channels(job.experiment, planned.name)
     refuse_bad_signals(planned, raw, used_channels(job.experiment, planned.name), driving=driving)
     filtered, report = _filtered(job, planned, raw, runout_map, answers)
-    save_recording(filtered, part, overwrite=True)
-    add_report(part, report)
+    save_prefiltered(filtered, report, part)
 
 
 def filtered_input(job: Job, planned: PlannedRecording, raw: Recording) -> Recording:
