@@ -197,6 +197,11 @@ def test_the_compiled_adjoint_and_second_pass_are_the_numpy_ones(case, shape, fr
     pairs = [(a.products.transpose(0, 2, 1), b.products.transpose(0, 2, 1)), (a.end_theta, b.end_theta)]
     for own, other in pairs:  # each parameter has a size of its own
         assert (np.abs(own - other) <= 1e-12 * np.abs(other).max(axis=(0, 1))).all()
+    np.testing.assert_allclose(engine.products(v, blocks, starts), expected.products, rtol=1e-10)
+    some = slice(blocks.n_blocks // 3, blocks.n_blocks)
+    first = random.normal(size=(some.stop - some.start, len(v.F), len(theta) + len(v.F)))
+    own, other = (run.sensitivities(v, blocks, found, first, some) for run in engines)
+    assert (np.abs(own - other) <= 1e-12 * np.abs(other).max(axis=(1, 2), keepdims=True)).all()
 
 
 def test_the_numpy_pass_in_chunks_is_the_whole(monkeypatch):

@@ -155,3 +155,26 @@ class PassEngine(Protocol):
             From `adjoint`.
         """
         ...
+
+    def sensitivities(
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+    ) -> FloatArray:
+        """Return derivatives of the predictions by the parameters and the start of the window, for some blocks.
+
+        Parameters
+        ----------
+        v : PredictorValues
+        blocks : Blocks
+        prediction : Prediction
+            States from the starts of the blocks.
+        first : (n_blocks, n, n_p + n) array
+            Derivatives of the starts of these blocks.
+        own : slice
+            The blocks.
+
+        Returns
+        -------
+        (n_y * (n_p + n), n_blocks, length) array
+            Zero where samples do not count.
+        """
+        ...

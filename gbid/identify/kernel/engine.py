@@ -5,12 +5,13 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Sequence
 from functools import lru_cache
+from importlib.resources import files
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, IntArray
 from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
 from gbid.identify.kernel.block_sums import Adjoint, BlockSums, PassEngine, Prediction, Second
@@ -22,6 +23,7 @@ from gbid.identify.predictor import PredictorValues
 
 EngineName = Literal["auto", "compiled", "numpy"]
 RunEngine = Literal["compiled", "numpy"]
+_CHUNK = 8  # samples that sensitivities.c holds before it writes them
 LONGEST_SOURCE = 200_000
 """Longest kernel that is compiled, in characters: 55 000 (12 states) take seconds, 480 000 (28 states) minutes."""
 
@@ -193,6 +195,43 @@ class CompiledEngine:
         pointers = (pointer_of(a) for a in [*arrays, products, end_theta])
         self._second(ctypes.c_long(n_groups), ctypes.c_long(length), *pointers)
         return Second(products, _per_block(end_theta).transpose(0, 2, 1))
+
+    def sensitivities(
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+    ) -> FloatArray:
+        """Return the sensitivities of some blocks; see `PassEngine`."""
+        z = self._fit_for(v, blocks)
+        n_z, (n_p, n, _), n_y, length = z.shape[2], v.dF.shape, len(v.C), blocks.length
+        m, count = n_p + n, own.stop - own.start
+        onto_state = np.concatenate([v.dF, v.dG], axis=2).reshape(n_p * n, -1)
+        onto_output = np.concatenate([v.dC, v.dH], axis=2).reshape(n_p * n_y, -1)
+        entries = [array for matrix in (v.F, v.C, onto_state, onto_output) for array in _by_rows(matrix)]
+        states, starts = np.ascontiguousarray(prediction.states), np.ascontiguousarray(first.transpose(0, 2, 1))
+        sides = _aligned((2 * m * n + n + n_z + m * n_y * _CHUNK) * LANES)
+        psi = np.empty((n_y * m, count, length))
+        run = load_library(_sensitivity_source()).gbid_sensitivities
+        run.restype = None
+        sizes = (ctypes.c_long(size) for size in (n, n_p, n_y, n_z, length, own.start, own.stop))
+        run(*sizes, *map(pointer_of, [*entries, states, z, blocks.used, starts, sides, psi]))
+        return psi
+
+
+def _by_rows(matrix: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
+    """Return where the rows of a matrix without its zeros begin and end, and the columns and values of its entries."""
+    rows, columns = np.nonzero(matrix)
+    ends = np.searchsorted(rows, np.arange(len(matrix) + 1)).astype(np.int64)
+    return ends, columns.astype(np.int64), np.ascontiguousarray(matrix[rows, columns])
+
+
+def _aligned(size: int) -> FloatArray:
+    """Return an array of so many numbers at an address of a vector."""
+    room = np.empty(size + LANES)
+    return room[-(room.__array_interface__["data"][0] // 8) % LANES :][:size]
+
+
+@lru_cache(maxsize=1)
+def _sensitivity_source() -> str:
+    return files("gbid.identify.kernel").joinpath("sensitivities.c").read_text(encoding="utf-8")
 
 
 @lru_cache(maxsize=32)

@@ -170,27 +170,9 @@ class LinearKernel:
     def sensitivities(
         self, v: PredictorValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
     ) -> FloatArray:
-        """Return the sensitivities of some blocks by the recursion of `gbid.identify.kernel.sweep`; see `Kernel`."""
-        n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
-        m = n_p + n
-        driving = np.concatenate(
-            [blocks.side_by_side(prediction.states, own), blocks.side_by_side(blocks.z(v.shift), own)], axis=1
-        )
-        onto_state, onto_output = np.zeros((n, m, driving.shape[1])), np.zeros((n_y, m, driving.shape[1]))
-        onto_state[:, :n_p] = np.concatenate([v.dF, v.dG], axis=2).transpose(1, 0, 2)
-        onto_output[:, :n_p] = np.concatenate([v.dC, v.dH], axis=2).transpose(1, 0, 2)
-        history = np.empty((length + 1, n, m, own.stop - own.start))
-        history[0, :, :n_p] = linked.by_theta[own].transpose(1, 2, 0)
-        history[0, :, n_p:] = linked.by_start[own].transpose(1, 2, 0)
-        np.matmul(onto_state.reshape(n * m, -1), driving, out=history[1:].reshape(length, n * m, -1))
-        flat = history.reshape(length + 1, n, -1)
-        for k in range(length):
-            flat[k + 1] += v.F @ flat[k]
-        psi = (v.C @ flat[:-1]).reshape(length, n_y * m, -1)
-        if onto_output.any():
-            psi += onto_output.reshape(n_y * m, -1) @ driving
-        psi *= blocks.side_by_side(blocks.used[:, :, None], own)
-        return psi.transpose(1, 2, 0)
+        """Return the sensitivities of some blocks; see `Kernel`."""
+        first = np.concatenate([linked.by_theta[own], linked.by_start[own]], axis=2)
+        return self.run.sensitivities(v, blocks, prediction, first, own)
 
 
 def _back_along_windows(blocks: Blocks, own: FloatArray, transition: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from gbid.identify.kernel.block_sums import Adjoint, BlockSums, Prediction, Seco
 from gbid.identify.kernel.blocks import Blocks
 from gbid.identify.predictor import PredictorValues
 
+_AT_ONCE = 64  # blocks whose sensitivities run together
 _CHUNK_BYTES = 32 * 2**20  # largest size of the sensitivities in memory
 
 
@@ -96,6 +97,34 @@ class NumpyEngine:
                 s = (v.F @ s.reshape(n_p, n, -1)).reshape(s.shape) + driven
             ends.append(s.reshape(n_p, n, -1).transpose(2, 1, 0))
         return Second(products.reshape(-1, n_p, n), np.concatenate(ends))
+
+    def sensitivities(
+        self, v: PredictorValues, blocks: Blocks, prediction: Prediction, first: FloatArray, own: slice
+    ) -> FloatArray:
+        """Return the sensitivities of some blocks, `_AT_ONCE` at a time; see `PassEngine`."""
+        n, n_p, n_y, length = len(v.F), len(v.dF), len(v.C), blocks.length
+        m, (count, *_) = n_p + n, first.shape
+        psi = np.empty((n_y * m, count, length))
+        onto_state, onto_output = np.zeros((n, m, n + v.G.shape[1])), np.zeros((n_y, m, n + v.G.shape[1]))
+        onto_state[:, :n_p] = np.concatenate([v.dF, v.dG], axis=2).transpose(1, 0, 2)
+        onto_output[:, :n_p] = np.concatenate([v.dC, v.dH], axis=2).transpose(1, 0, 2)
+        for a in range(0, count, _AT_ONCE):
+            some = slice(own.start + a, min(own.start + a + _AT_ONCE, own.stop))
+            driving = np.concatenate(
+                [blocks.side_by_side(prediction.states, some), blocks.side_by_side(blocks.z(v.shift), some)], axis=1
+            )
+            history = np.empty((length + 1, n, m, some.stop - some.start))
+            history[0] = first[a : a + _AT_ONCE].transpose(1, 2, 0)
+            np.matmul(onto_state.reshape(n * m, -1), driving, out=history[1:].reshape(length, n * m, -1))
+            flat = history.reshape(length + 1, n, -1)
+            for k in range(length):
+                flat[k + 1] += v.F @ flat[k]
+            rows = (v.C @ flat[:-1]).reshape(length, n_y * m, -1)
+            if onto_output.any():
+                rows += onto_output.reshape(n_y * m, -1) @ driving
+            rows *= blocks.side_by_side(blocks.used[:, :, None], some)
+            psi[:, a : a + _AT_ONCE] = rows.transpose(1, 2, 0)
+        return psi
 
 
 run_with_numpy = NumpyEngine()

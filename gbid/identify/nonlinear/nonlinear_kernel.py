@@ -17,6 +17,8 @@ from gbid.identify.kernel.sweep import Linked, Sweep, joined
 from gbid.identify.nonlinear.nonlinear_predictor import NonlinearValues
 from gbid.identify.predictor import PredictorValues
 
+_AT_ONCE = 64  # blocks whose sensitivities are made together
+
 
 class SampleSums(NamedTuple):
     """Results of a pass with sensitivities.
@@ -171,11 +173,16 @@ class NonlinearKernel:
         self, v: NonlinearValues, blocks: Blocks, prediction: Prediction, linked: Linked, own: slice
     ) -> FloatArray:
         """Return the sensitivities of some blocks; see `Kernel`."""
-        first = np.concatenate([linked.by_theta[own], linked.by_start[own]], axis=2)
-        psi = self.run.sensitivities(v, blocks, prediction, first, own)
-        length, n_y, m, n_blocks = psi.shape
-        used = blocks.side_by_side(blocks.used[:, :, None], own)[:, :, None]
-        return np.where(used != 0, psi * used, 0.0).reshape(length, n_y * m, n_blocks).transpose(1, 2, 0)
+        n_y, m = blocks.y.shape[2], linked.by_theta.shape[2] + linked.by_start.shape[2]
+        every = np.empty((n_y * m, own.stop - own.start, blocks.length))
+        for begin in range(own.start, own.stop, _AT_ONCE):
+            some = slice(begin, min(begin + _AT_ONCE, own.stop))
+            first = np.concatenate([linked.by_theta[some], linked.by_start[some]], axis=2)
+            psi = self.run.sensitivities(v, blocks, prediction, first, some)
+            used = blocks.side_by_side(blocks.used[:, :, None], some)[:, :, None]
+            rows = np.where(used != 0, psi * used, 0.0).reshape(blocks.length, n_y * m, -1)
+            every[:, begin - own.start : some.stop - own.start] = rows.transpose(1, 2, 0)
+        return every
 
 
 def linked_along(blocks: Blocks, end_theta: FloatArray, end_start: FloatArray) -> Linked:

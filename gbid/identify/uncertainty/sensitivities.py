@@ -13,8 +13,6 @@ from gbid.identify.kernel.kernel_protocol import Kernel
 from gbid.identify.kernel.sweep import Linked
 from gbid.identify.predictor import PredictorValues
 
-_AT_ONCE = 64  # blocks whose recursion runs together
-
 
 class RecordSensitivities(NamedTuple):
     """Errors of a record, and the sensitivities of its predictions.
@@ -76,14 +74,10 @@ def of_segment(
     first = int(blocks.window_first[segment])
     stop = first + int(blocks.window_size[segment])
     n_y = blocks.y.shape[2]
-    m = linked.by_theta.shape[2] + linked.by_start.shape[2]
-    psi = np.empty((n_y * m, stop - first, blocks.length))
-    for begin in range(first, stop, _AT_ONCE):
-        own = slice(begin, min(begin + _AT_ONCE, stop))
-        psi[:, begin - first : own.stop - first] = kernel.sensitivities(v, blocks, prediction, linked, own)
+    psi = kernel.sensitivities(v, blocks, prediction, linked, slice(first, stop))
     n_samples = int(blocks.size[first:stop].sum())
     return SegmentSensitivities(
-        psi.reshape(n_y, m, -1)[:, :, :n_samples],
+        psi.reshape(n_y, psi.shape[0] // n_y, -1)[:, :, :n_samples],
         blocks.by_segment(prediction.errors)[segment],
         blocks.by_segment(blocks.used[:, :, None])[segment][:, 0] > 0,
     )
