@@ -12,7 +12,7 @@ from benchmarks.case import N_STATES, SAMPLE_TIME, STRUCTURE, Samples
 from gbid.identify.data import gather
 from gbid.identify.kernel.blocks import cut
 from gbid.identify.kernel.engine import CompiledEngine, pattern_of
-from gbid.identify.kernel.source import KernelPattern
+from gbid.identify.kernel.kernel_pattern import KernelPattern
 from gbid.identify.kernel.sweep import block_sums, powers_of, sweep
 from gbid.identify.predictor import build_predictor
 from gbid.identify.problem.assembly import automatic_window

@@ -16,9 +16,10 @@ from gbid.compiling import CompilerMissingError, load_library
 from gbid.errors import UsageError
 from gbid.identify.kernel.block_sums import Adjoint, BlockSums, PassEngine, Prediction, Second
 from gbid.identify.kernel.blocks import LANES, Blocks
+from gbid.identify.kernel.kernel_pattern import KernelPattern
 from gbid.identify.kernel.numpy_pass import run_with_numpy
 from gbid.identify.kernel.second_source import second_source
-from gbid.identify.kernel.source import TILE, KernelPattern, kernel_source
+from gbid.identify.kernel.source import TILE, kernel_source
 from gbid.identify.predictor import PredictorValues
 
 EngineName = Literal["auto", "compiled", "numpy"]

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gbid.identify.kernel.source import LANES, KernelPattern, sum_of, terms_of
+from gbid.identify.kernel.kernel_pattern import KernelPattern
+from gbid.identify.kernel.source import LANES, sum_of, terms_of
 
 _BUFFER_BYTES = 96 * 1024  # factors of the products held between sums: stays in the first-level cache
 _TILE = 4
@@ -47,8 +48,9 @@ def _sensitivity(p: KernelPattern, i: int) -> list[str]:
     """Sensitivity of the state by one parameter after a sample, from that at it."""
     n, n_z = p.G.shape
     lines = []
-    for r in np.flatnonzero(p.dF[i].any(axis=1) | p.dG[i].any(axis=1) | p.F.any(axis=1)):
-        terms = [f"F[{r * n + c}]*s[{i * n + c}]" for c in np.flatnonzero(p.F[r])]
+    live = p.live(i)
+    for r in np.flatnonzero(live):
+        terms = [f"F[{r * n + c}]*s[{i * n + c}]" for c in np.flatnonzero(p.F[r] & live)]
         terms += terms_of(p.dF[i, r], "dF", (i * n + r) * n, "x") + terms_of(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
         lines.append(f"next[{i * n + r}] = {sum_of(terms)};")
     return lines

@@ -7,48 +7,13 @@ a few steps, so that their accumulators stay in registers.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from gbid.arrays import BoolArray
+from gbid.identify.kernel.kernel_pattern import KernelPattern
 
 _BUFFER_BYTES = 32 * 1024  # sensitivities of the outputs held between sums: stays in the first-level cache
 TILE = 4
-
-
-@dataclass(frozen=True, eq=False)
-class KernelPattern:
-    """Pattern of the entries of the predictor's matrices that may differ from zero.
-
-    Attributes
-    ----------
-    F : (n, n), G : (n, n_z), C : (n_y, n), H : (n_y, n_z) boolean arrays
-        Patterns of the matrices.
-    dF, dG, dC, dH : boolean arrays
-        Patterns of the derivatives, with a first axis of parameters.
-    """
-
-    F: BoolArray
-    G: BoolArray
-    C: BoolArray
-    H: BoolArray
-    dF: BoolArray
-    dG: BoolArray
-    dC: BoolArray
-    dH: BoolArray
-
-    def covers(self, other: KernelPattern) -> bool:
-        """Whether every entry of another pattern is one of this."""
-        return all(not (theirs & ~mine).any() for mine, theirs in zip(self.arrays(), other.arrays(), strict=True))
-
-    def union(self, other: KernelPattern) -> KernelPattern:
-        """Entries of either."""
-        return KernelPattern(*(mine | theirs for mine, theirs in zip(self.arrays(), other.arrays(), strict=True)))
-
-    def arrays(self) -> tuple[BoolArray, ...]:
-        """Return the patterns in order."""
-        return (self.F, self.G, self.C, self.H, self.dF, self.dG, self.dC, self.dH)
 
 
 def kernel_source(pattern: KernelPattern) -> str:
@@ -139,21 +104,21 @@ def _adjoint(p: KernelPattern) -> list[str]:
 def _sensitivity(p: KernelPattern, i: int) -> list[str]:
     """Step of one parameter's sensitivity: outputs into the buffer, then the state."""
     n, n_z = p.G.shape
-    n_y = len(p.C)
+    n_y, live = len(p.C), p.live(i)
     lines = ["{", f"v *restrict s = S + {i * n};"]
     for j in range(n_y):
-        terms = terms_of(p.C[j], "C", j * n, "s")
+        terms = terms_of(p.C[j] & live, "C", j * n, "s")
         terms += terms_of(p.dC[i, j], "dC", (i * n_y + j) * n, "x") + terms_of(
             p.dH[i, j], "dH", (i * n_y + j) * n_z, "z"
         )
         lines.append(f"v q{j} = ({sum_of(terms)}) * m;")
     for a in range(n_y):
         lines.append(f"P[{i}*BUF + t*NY + {a}] = {sum_of([f'R[{a * n_y + j}]*q{j}' for j in range(a, n_y)])};")
-    for r in range(n):
-        terms = terms_of(p.F[r], "F", r * n, "s")
+    for r in np.flatnonzero(live):
+        terms = terms_of(p.F[r] & live, "F", r * n, "s")
         terms += terms_of(p.dF[i, r], "dF", (i * n + r) * n, "x") + terms_of(p.dG[i, r], "dG", (i * n + r) * n_z, "z")
         lines.append(f"v s{r} = {sum_of(terms)};")
-    lines += [f"s[{r}] = s{r};" for r in range(n)]
+    lines += [f"s[{r}] = s{r};" for r in np.flatnonzero(live)]
     lines.append("}")
     return lines
 
@@ -250,12 +215,11 @@ static void __attribute__((noinline)) pass_with(
 {STEP}
       if (weighted) for (int j = 0; j < NY; j++) U[t*NY + j] = m;
       for (int c = 0; c < N; c++) x[c] = nx[c];
-      if (ragged)
-        for (int l = 0; l < 8; l++)
-          if (count[l] == k + 1) {{
-            for (int c = 0; c < N; c++) end_b[c*8 + l] = x[c][l];
-            for (int i = 0; i < NP*N; i++) end_theta_b[i*8 + l] = S[i][l];
-          }}
+      for (int l = 0; ragged && l < 8; l++) {{
+        if (count[l] != k + 1) continue;
+        for (int c = 0; c < N; c++) end_b[c*8 + l] = x[c][l];
+        for (int i = 0; i < NP*N; i++) end_theta_b[i*8 + l] = S[i][l];
+      }}
       if (++t == BUF/NY || k + 1 == length) {{
         add_up(t*NY, P, T + (k + 1 - t)*NY*NT, weighted ? U : 0, hs, M);
         t = 0;

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from gbid.arrays import BoolArray
+from gbid.identify.kernel.kernel_pattern import reached
 from gbid.identify.nonlinear.sample_functions import SampleFunctions
 
 _MOST_KINDS = 4  # of columns, by their rows: more of them would make the source long
@@ -26,11 +27,11 @@ def product_source(functions: SampleFunctions) -> str:
     F, G, C, D, X = (_pattern(each) for each in (of_step, own, by_state, by_theta, by_start))
     n, n_p = X.shape
     n_e = G.shape[1] - n_p
-    through = _reached(F, G)
+    through = reached(F, G)
     fed = [through[:, :n_e] @ each[:n_e] for each in (C, D)]
-    sample, onto = _reached(F, F) | fed[0], through[:, n_e:] | fed[1]  # by the state, by theta
+    sample, onto = reached(F, F) | fed[0], through[:, n_e:] | fed[1]  # by the state, by theta
     M = np.hstack([sample, through[:, :n_e], onto])
-    S = np.hstack([_reached(sample, onto | X), _reached(sample, np.eye(n, dtype=bool))])
+    S = np.hstack([reached(sample, onto | X), reached(sample, np.eye(n, dtype=bool))])
     left = np.hstack([fed[0] & ~F, np.zeros((n, n_e), bool), fed[1] & ~G[:, n_e:]])
     return "\n".join(
         [
@@ -52,14 +53,6 @@ def places_of(sparsity: ca.Sparsity) -> list[int]:
 
 def _pattern(sparsity: ca.Sparsity) -> BoolArray:
     return np.array(ca.DM(sparsity, 1.0).full() != 0, bool)
-
-
-def _reached(A: BoolArray, first: BoolArray) -> BoolArray:
-    """Return the pattern of ``A^k first`` for all k: a product of more than n factors has no other entries."""
-    found = first
-    for _ in A:
-        found = found | (A @ found)
-    return found
 
 
 def _entries(sparsity: ca.Sparsity) -> list[tuple[int, int, int]]:
