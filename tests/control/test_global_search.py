@@ -14,6 +14,7 @@ from gbid.control.tuning.search.basins.ranking import better
 from gbid.control.tuning.search.global_search import Effort, search
 from gbid.control.tuning.search.nonsmooth.active import Score
 from gbid.control.tuning.search.sqp import optimise_locally
+from gbid.control.tuning.search.starts.spread import spread_points
 
 NEVER_ACTIVE = (("never active", np.zeros(4), 1.0),)
 """A limit: without any, BFGS takes the place of the steps whose weakness some tests show."""
@@ -96,3 +97,14 @@ def test_limits_come_before_the_aim() -> None:
     assert better(worse, Score(0.95, 2e-3))
     assert not better(Score(0.95, 2e-3), worse)
     assert better(Score(0.3, 0.9e-6), kept)  # a limit exceeded by less than 1e-6 is kept
+
+
+@pytest.mark.parametrize("d", [1, 11, 60])
+def test_starts_fill_the_box_more_evenly_than_random_numbers(d: int) -> None:
+    points = spread_points(64, d, 3)
+    assert points.shape == (64, d)
+    assert ((points >= 0) & (points < 1)).all()
+    # largest gap of each coordinate: 1/64 at best, and about log(64)/64 = 0.065 of random numbers
+    gaps = np.diff(np.sort(points, axis=0), axis=0).max(axis=0)
+    assert gaps.mean() < 0.04
+    assert not np.allclose(points, spread_points(64, d, 4))

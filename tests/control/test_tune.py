@@ -303,6 +303,10 @@ def test_an_unstable_open_loop_is_named() -> None:
         ({"slowest_pole": -1.0}, "slowest_pole"),
         ({"controller": "PIDD"}, "PIDD"),
         ({"actuator": {"p1_x": 3000.0}}, "no actuator"),
+        (
+            {"operating_points": ONE, "uncertainty": gbid.Uncertainty(samples=np.full((1, 14), 1e308))},
+            "6 bar, 0 rpm.*not finite at the start; check the plant, also those drawn",
+        ),
     ],
 )
 def test_wrong_arguments(options: dict[str, object], message: str) -> None:

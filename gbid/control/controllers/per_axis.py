@@ -122,10 +122,12 @@ class PerAxis(ABC):
         axes = [self._filter({name: p[gain_name(name, axis)] for name in names}, lowpass) for axis in self.axes]
         return {letter: ca.diagcat(*(axis[i] for axis in axes)) for i, letter in enumerate("ABCD")}
 
-    def _check_bounds(self, **bounds: float) -> None:
-        for name, value in bounds.items():
+    def _check_bounds(self, lower: float, upper: float) -> None:
+        for name, value in (("lower", lower), ("upper", upper)):
             if not isfinite(value):
                 raise UsageError(f"controller {self.name!r}: {name} = {value}; give a finite number")
+        if not lower < upper:
+            raise UsageError(f"controller {self.name!r}: lower = {lower} must be below upper = {upper}")
 
     def _check_positive(self, **values: float) -> None:
         for name, value in values.items():

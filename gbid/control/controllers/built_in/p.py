@@ -37,7 +37,7 @@ class PStructure(PerAxis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(lower=self.lower, upper=self.upper)
+        self._check_bounds(self.lower, self.upper)
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return (AxisGain("kappa", inside(0.0, (self.lower, self.upper)), self.lower, self.upper, "m/m"),)

@@ -38,7 +38,7 @@ class PIStructure(PerAxis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(lower=self.lower, upper=self.upper)
+        self._check_bounds(self.lower, self.upper)
         self._check_ranges("ki", positive=False)
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:

@@ -16,6 +16,7 @@ from gbid.control.tuning.plants.plant_set import PlantSet, corners
 from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.errors import UsageError
 from gbid.lpv import LPVModel
+from gbid.operating_point import point_label
 from gbid.structure import KEY_PARAMETERS, LinearModel, PiezoPair, Plant, RotorBearing, evaluate
 
 
@@ -93,8 +94,14 @@ class SampledLoops(PlantSet):
                 f"model {self.lpv.name!r}: a drawn plant has {late[0]} = {values[late[0]]:g} s; fix the delays"
             )
         structure = Plant(RotorBearing(delay="exact", disturbance_gain="none"), PiezoPair(), outputs=("p",))
-        exact = evaluate(structure, {**self.lpv.actuators, **values}, ("r_x", "r_y"), ("p_x", "p_y"))
-        return sample_plant(exact, self.sampling.sample_time, self.sampling.computation_s)
+        try:
+            exact = evaluate(structure, {**self.lpv.actuators, **values}, ("r_x", "r_y"), ("p_x", "p_y"))
+            return sample_plant(exact, self.sampling.sample_time, self.sampling.computation_s)
+        except UsageError as error:
+            where = point_label(float(scenario[0]), float(scenario[1]))
+            raise UsageError(
+                f"model {self.lpv.name!r} at {where}, or a plant drawn around it, cannot be sampled: {error}"
+            ) from None
 
 
 def stacked(models: Sequence[LinearModel]) -> PlantMatrices:

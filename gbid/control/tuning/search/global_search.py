@@ -89,8 +89,8 @@ def search(
 
     Notes
     -----
-    For up to three gains: a grid, whose best points that are not neighbours are optimised. For more gains: a Sobol
-    sequence, with some steps of local optimisation from each start. Then the best designs are fully optimised.
+    For up to three gains: a grid, whose best points that are not neighbours are optimised. For more gains: evenly
+    spread points, with some steps of local optimisation from each start. Then the best designs are fully optimised.
     """
     history: list[SearchStep] = []
 

@@ -32,6 +32,10 @@ _PATIENCE = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
 """By how many times its last rise a climb may still be expected to rise."""
+_LATE = 30
+"""Number of iterations after which a climb that has not reached its goal ends; those that do are there before."""
+_SETTLED = 1e-5
+"""Rise below which a climb that has passed its goal ends; the best design of all is climbed to the end later."""
 
 
 def optimise_locally(
@@ -73,7 +77,8 @@ def optimise_locally(
     rough : bool
         Whether H stays zero and no steps to meetings are tried: a third of the time for a design near the optimum.
     goal : float
-        Merit below which the optimum has no use. The optimisation ends when it will hardly be reached.
+        Merit below which the optimum has no use. The optimisation ends when it will hardly be reached, or has been
+        and rises no more.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
     on_step : callable, optional
@@ -156,7 +161,10 @@ def _climb(
             creeps, milestone = reached - milestone < 1e-5, reached
         if iteration % _PATIENCE == 0:
             reached = merit(functions.score, _PENALTY)
-            if reached + _HOPE * max(reached - lately, 0.0) < goal:
+            rise = max(reached - lately, 0.0)
+            if reached + _HOPE * rise < goal or (iteration >= _LATE and reached < goal):
+                return LocalOptimum(x, functions.score, iteration, False)
+            if reached > goal > -np.inf and rise < _SETTLED:
                 return LocalOptimum(x, functions.score, iteration, False)
             lately = reached
         if radius < tolerance or stalled > 12 or creeps:

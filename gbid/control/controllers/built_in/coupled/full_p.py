@@ -31,7 +31,7 @@ class FullPStructure(Crossed):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(lower=self.lower, upper=self.upper)
+        self._check_bounds(self.lower, self.upper)
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:
         return ()

@@ -34,7 +34,7 @@ class FullPDStructure(Crossed):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(lower=self.lower, upper=self.upper)
+        self._check_bounds(self.lower, self.upper)
         self._check_positive(kd_limit_ms=self.kd_limit_ms)
         if self.order == 0:
             raise UsageError("controller 'full PD': order = 0; without a low-pass it is not proper, give at least 1")

@@ -40,7 +40,7 @@ class NotchStructure(PerAxis):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        self._check_bounds(lower=self.lower, upper=self.upper)
+        self._check_bounds(self.lower, self.upper)
         self._check_ranges("frequency_khz", "width", "depth")
 
     def _axis_gains(self) -> tuple[AxisGain, ...]:

@@ -53,7 +53,8 @@ def hop_with_limits(
     if not others:
         best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)
     for line in [best, max(others, key=rank)] if others else []:
-        found, returned = hop_basins(climber, line, rng, most, 2 * kinds, note, early=True)
+        known = None if line is best else best.score
+        found, returned = hop_basins(climber, line, rng, most, 2 * kinds, note, early=True, known=known)
         best = found if better(found.score, best.score) or found.score == best.score else best
         if found is best and returned:
             break
@@ -72,11 +73,13 @@ def hop_basins(
     in_vain: int,
     note: Note,
     early: bool = False,
+    known: Score | None = None,
 ) -> tuple[LocalOptimum, bool]:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
     With limits, fewer moves are enough when several of the longest ones end at the same value. An early end is when
-    moves of every size were in vain, a long one ended at the same value, and the design is certified. The second
+    moves of every size were in vain, a long one ended at the same value, and the design is certified. Another end is
+    the `known` score of the best design of another line: two lines with one certified end are enough. The second
     result tells whether one of the longer moves in vain ended at the same value.
     """
     vain = longest = long = 0
@@ -89,14 +92,20 @@ def hop_basins(
         repaired = again.score.violation <= FEASIBLE < best.score.violation
         improved = better(again.score, best.score)
         vain = 0 if improved and (progress or repaired) else vain + 1
-        near = vain > 0 and abs(again.score.value - best.score.value) <= _NEAR * abs(best.score.value)
+        near = vain > 0 and _same(again.score, best.score)
         longest = 0 if not vain else longest + (near and size == climber.hop_sizes[-1] and not climber.free)
         long = 0 if not vain else long + (near and size in climber.hop_sizes[-2:])
         best = again if improved else best
         note("basin hopping", best.score)
+        if improved and known is not None and _same(best.score, known) and climber.certified(best):
+            break
         if early and long and vain >= len(climber.hop_sizes) and climber.certified(best):
             break
     return best, bool(long)
+
+
+def _same(one: Score, other: Score) -> bool:
+    return one.violation <= FEASIBLE and abs(one.value - other.value) <= _NEAR * abs(other.value)
 
 
 def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum]:

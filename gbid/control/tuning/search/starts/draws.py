@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.nonsmooth.quasi_newton import ascend
 from gbid.control.tuning.search.problem import GainProblem
+from gbid.control.tuning.search.starts.spread import spread_points
 
 _SHARES = (1.0, 0.5, 0.25, 0.12, 0.06, 0.03)
 WIDE = 8.0
@@ -32,10 +32,10 @@ def random_starts(problem: GainProblem, neutral: FloatArray, unit: FloatArray, n
     n : int
         Number of starts.
     seed : int
-        Seed of the Sobol sequence.
+        Seed of the random numbers.
     """
     d, low, high = len(neutral), problem.lower, problem.upper
-    rows = scipy.stats.qmc.Sobol(d + 1, seed=np.random.default_rng(seed)).random(1 << max(n - 1, 1).bit_length())[:n]
+    rows = spread_points(n, d + 1, seed)
     # with positive bounds over more than a decade, starts have a logarithmic distribution
     decades = (low > 0) & (high > 10 * low)
     first, last = np.where(decades, low, 1.0), np.where(decades, high, 1.0)

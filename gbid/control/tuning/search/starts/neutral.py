@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.loop_family import LoopFamily
 from gbid.control.tuning.search.spectrum import eigenvalues
+from gbid.control.tuning.search.starts.spread import spread_points
 from gbid.errors import UsageError
 
 _TRIED = 64
@@ -25,7 +25,7 @@ def usable_start(
     UsageError
         When there are none.
     """
-    random = scipy.stats.qmc.Sobol(len(lower), seed=np.random.default_rng(seed)).random(_TRIED)
+    random = spread_points(_TRIED, len(lower), seed)
     for x in (*given, *(lower + random * (upper - lower))):
         if all(np.isfinite(eigenvalues(family.states(x))).all() for family in families):
             return np.asarray(x)
@@ -43,8 +43,14 @@ def typical_rate(families: Sequence[LoopFamily], x: FloatArray) -> float:
     UsageError
         When a matrix is not finite.
     """
-    sizes = np.concatenate([np.abs(eigenvalues(family.states(x))).ravel() for family in families])
-    if not np.isfinite(sizes).all():
-        raise UsageError("the closed-loop matrix is not finite at the start; check the function and its bounds")
+    every = [np.abs(eigenvalues(family.states(x))) for family in families]
+    for family, sizes in zip(families, every, strict=True):
+        for label, finite in zip(family.labels, np.isfinite(sizes).all(axis=1), strict=True):
+            if not finite:
+                raise UsageError(
+                    f"{label}: the closed-loop matrix is not finite at the start; check the plant, also those drawn "
+                    "from its uncertainty, or the function and its bounds"
+                )
+    sizes = np.concatenate([sizes.ravel() for sizes in every])
     sizes = sizes[sizes > 1e-9 * sizes.max()] if sizes.any() else np.ones(1)
     return float(np.exp(np.log(sizes).mean()))
