@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gbid.arrays import FloatArray
-from gbid.control.tuning.search.basins.ranking import PENALTY, rank
+from gbid.control.tuning.search.basins.ranking import PENALTY, better, rank
 from gbid.control.tuning.search.nonsmooth.certificate import certify
 from gbid.control.tuning.search.nonsmooth.quasi_newton import ascend
 from gbid.control.tuning.search.problem import GainProblem
@@ -22,6 +22,10 @@ _ROUGH = 30
 """Number of iterations from each start where more than eigenvalues counts; the better two thirds get as many again."""
 LATER_RADIUS = 0.02
 """Trust region with which these go on, as a share of the bounds."""
+_NEXT = 1e-3
+"""Distance from a bound, as a share of the bounds, of a gain that is next to it."""
+_SHORT = (1e-3, 5e-3)
+"""Trust regions of the short climbs from a design without a certificate."""
 _RACED = 100
 """Largest number of iterations of a full optimisation in a race: one that creeps gets on faster by a random move."""
 
@@ -59,8 +63,16 @@ class Climber:
         """Return a design near a start that is better, with few evaluations; fewer where the goal is out of reach."""
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
+        plain = radius > LATER_RADIUS
         return optimise_locally(
-            self.problem, start, radius=radius, max_iterations=_ROUGH, tolerance=1e-5, goal=goal, repair=False
+            self.problem,
+            start,
+            radius=radius,
+            max_iterations=_ROUGH,
+            tolerance=1e-5,
+            goal=goal,
+            rough=plain,
+            repair=False,
         )
 
     def full(self, start: FloatArray, goal: float | None = None) -> LocalOptimum:
@@ -84,6 +96,23 @@ class Climber:
             return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=rank(best))
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
+
+    def with_certificate(self, best: LocalOptimum) -> LocalOptimum:
+        """Return a certified design by short climbs from a design without a certificate, or else the best one of them.
+
+        A climb along a narrow ridge may creep and end early: others with other first steps do not. One of them begins
+        with the gains at the bounds that they are next to.
+        """
+        low, high = self.problem.lower, self.problem.upper
+        near = _NEXT * (high - low)
+        at_bounds = np.where(best.x - low < near, low, np.where(high - best.x < near, high, best.x))
+        for start in [best.x, at_bounds] if (at_bounds != best.x).any() else [best.x]:
+            for radius in _SHORT:
+                if self.certified(best) or self.problem.exhausted:
+                    return best
+                found = optimise_locally(self.problem, start, max_iterations=60, radius=radius)
+                best = found if better(found.score, best.score) else best
+        return best
 
     def certified(self, best: LocalOptimum) -> bool:
         """Return whether a design is optimal to first order."""

@@ -59,6 +59,7 @@ def hop_with_limits(
         if found is best and returned:
             break
     for _ in range(_ROUNDS - 1):
+        best = climber.with_certificate(best)
         if climber.problem.exhausted or climber.certified(best):
             break
         best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)

@@ -45,7 +45,7 @@ def typical_rate(families: Sequence[LoopFamily], x: FloatArray) -> float:
     """
     every = [np.abs(eigenvalues(family.states(x))) for family in families]
     for family, sizes in zip(families, every, strict=True):
-        for label, finite in zip(family.labels, np.isfinite(sizes).all(axis=1), strict=True):
+        for label, finite in zip(family.labels, np.isfinite(sizes.max(axis=1)).tolist(), strict=True):
             if not finite:
                 raise UsageError(
                     f"{label}: the closed-loop matrix is not finite at the start; check the plant, also those drawn "
