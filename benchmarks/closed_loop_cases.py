@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import gbid
-from benchmarks.film_study import about_the_orbit
+from benchmarks.orbit import about_the_orbit
 from gbid.control import p_controller
 from gbid.control.loop.sampling import sample_controller
 from gbid.rig import (
