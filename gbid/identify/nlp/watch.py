@@ -23,6 +23,7 @@ _NEAR = 50.0  # standard deviations, and the gap that goes with it: the basin of
 _NEAR_GAP = 0.1
 _AHEAD = 7  # iterations that justify a change of method
 _STEP_BEFORE = 1e-2
+_LOOKED_AT = [ca.nlpsol_out().index(name) for name in ("f", "x", "g")]
 _EXACT_GAP = 1e-9  # the same for a fit without errors, whose gradient is rounding and tells nothing more
 
 
@@ -116,10 +117,19 @@ class Watch(ca.Callback):
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         return self._shapes[i]
 
-    def eval(self, arguments: Sequence[ca.DM]) -> list[int]:
-        values = dict(zip((ca.nlpsol_out(i) for i in range(len(arguments))), arguments, strict=True))
-        x = np.asarray(values["x"], float).ravel()
-        g, extra = np.asarray(values["g"], float).ravel(), self._problem.extra
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, arguments: Sequence[memoryview | None], results: Sequence[memoryview | None]) -> int:
+        """Look at an iterate, in CasADi's own memory, and write whether the solver is to end."""
+        f, x, g = (np.frombuffer(own) if own else np.zeros(0) for own in map(arguments.__getitem__, _LOOKED_AT))
+        ended = self._look(float(f[0]), x.copy(), g)
+        if results[0] is not None:
+            np.frombuffer(results[0])[:] = ended
+        return 0
+
+    def _look(self, cost: float, x: FloatArray, g: FloatArray) -> bool:
+        extra = self._problem.extra
         gaps = g[: self._problem.n_gaps]
         step = sigma = np.inf
         if self._previous is not None:
@@ -130,14 +140,14 @@ class Watch(ca.Callback):
         if extra is not None:
             gap = max(gap, extra.violation(g[len(g) - len(extra.size) :]))
         done = max(len(self._earlier) - 1, 0)  # where the last solver ended is where this one starts
-        now = Progress(done + len(self.history), float(values["f"]), gap, step, sigma)
+        now = Progress(done + len(self.history), cost, gap, step, sigma)
         self.history.append(now)
         if self._progress is not None and not (self._earlier and len(self.history) == 1):
             try:
                 self._progress(now)
             except BaseException as error:  # raised again outside of the solver
                 self.interrupt.error = error
-                return [1]
+                return True
         self.settled = self._stop == "paper" and now.step < PAPER_TOLERANCE and now.gap < _GAP_TOLERANCE
         self.exact = extra is None and now.cost <= self._problem.exact_cost and now.gap < _EXACT_GAP
         # A step may be small by chance, where the solver has just cut it: the one before must have been small, too.
@@ -152,7 +162,7 @@ class Watch(ca.Callback):
         self.unstable = self.unstable + 1 if self._problem.noise and self._radius(x) > 1 else 0
         ended = self.settled or self.exact or self.at_rest or self.creeping
         given_up = max(self.unstable, self.stuck) >= PATIENCE
-        return [int(self.interrupt.error is not None or ended or given_up)]
+        return self.interrupt.error is not None or ended or given_up
 
     def _nothing_to_gain(self, x: FloatArray) -> bool:
         """Return whether a Gauss-Newton step from here would be very small.
