@@ -188,6 +188,11 @@ def fit_scheduled(
     found = regression(as_estimates(fits, given, chosen, scheduling), weighting, order, robust)
     grid = found.estimates.points
     good = [fit for fit in fits if fit.success]
+    if lacking := [key for key in known if any(key not in fit.parameters for fit in good)]:
+        raise UsageError(
+            f"fit_lpv: the structure has {', '.join(lacking)}, which not all fits have; give it with the options of "
+            "the fits"
+        )
     held = {key: float(np.mean([fit.parameters[key] for fit in good])) for key in known if key not in chosen}
     model = ScheduledModel(
         name,
