@@ -59,7 +59,9 @@ def _interruptible() -> Iterator[None]:
 
     Signals that the process ignores (nohup) stay ignored. A signal raises KeyboardInterrupt wherever Python is. In some
     places exceptions are forgotten: in finalisers, in callbacks of weak references, and within CasADi while it tries
-    the types of arguments. So the signal comes again until its exception is being handled.
+    the types of arguments. So the signal comes again until its exception is being handled. A library may also clear the
+    exception and fail with one of its own, as matplotlib does while it converts arrays: until the signal is heard, a
+    failure counts as its consequence.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -75,6 +77,12 @@ def _interruptible() -> Iterator[None]:
     hook, sys.unraisablehook = sys.unraisablehook, partial(_forgotten, sys.unraisablehook)
     try:
         yield
+    except typer.Exit:
+        raise
+    except Exception as error:
+        if _is_reminding():
+            raise KeyboardInterrupt from error
+        raise
     finally:
         _remind(0.0)
         sys.unraisablehook = hook
@@ -116,6 +124,10 @@ def _remind(seconds: float) -> None:
     """Let SIGALRM come after some time, and then again and again; never with 0."""
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
+
+
+def _is_reminding() -> bool:
+    return hasattr(signal, "getitimer") and signal.getitimer(signal.ITIMER_REAL)[0] > 0
 
 
 def _end(lines: list[str], code: int, word: str, as_json: bool, debug: bool) -> None:

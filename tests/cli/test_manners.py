@@ -179,6 +179,18 @@ def test_a_signal_that_casadi_forgets_comes_again(number, capsys):
     assert signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
 
 
+def test_a_failure_in_the_place_of_an_interruption_is_one(capsys):
+    def body():
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGTERM)
+        raise ValueError("Invalid affine transformation matrix")  # as matplotlib on its way to a picture
+
+    with pytest.raises(typer.Exit) as end, guarded():
+        body()
+    assert end.value.exit_code == 130
+    assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
+
+
 def test_an_interruption_behind_the_failure_of_a_library_is_one(capsys):
     def body():
         try:
