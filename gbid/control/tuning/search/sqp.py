@@ -32,6 +32,8 @@ _PATIENCE = 10
 """Number of iterations over which the rise of the merit is judged."""
 _HOPE = 10.0
 """By how many times its last rise a climb may still be expected to rise."""
+_MOVED = 1e-3
+"""By how much the corrections of a move to a meeting may raise the objective."""
 _LATE = 30
 """Number of iterations after which a climb that has not reached its goal ends; those that do are there before."""
 _SETTLED = 1e-5
@@ -131,7 +133,7 @@ def _climb(
             penalty = max(penalty, 2.0 * step.limit_weight if step.keeps_limits else 0.0)
             if step.gain <= improvement:
                 continue
-            move = back_to_meeting(problem, x, step.move, means, floor + max(improvement, 0.0))
+            move = back_to_meeting(problem, x, step.move, means, floor + max(improvement, 0.0) - _MOVED)
             if move is None:
                 continue
             step = replace(step, move=move)
