@@ -223,8 +223,9 @@ def summary(run: Mapping[str, Any]) -> str:
             f"{100 * chance['film']['with_enough_of_all']:.0f} %; of the linear fits all fourteen do in "
             f"{100 * chance['linear']['with_enough_of_all']:.0f} %.",
             "- At single operating points the rms of error over standard deviation, over these campaigns, is "
-            f"{ratio['least']:.2f} to {ratio['most']:.2f}, on average {ratio['mean']:.2f}: the scatter of the rig is "
-            "not the same at all points, as the surfaces take it.",
+            f"{ratio['least']:.2f} to {ratio['most']:.2f}, on average {ratio['mean']:.2f}. The "
+            "errors of the fits are the same in all these campaigns: what they have in common "
+            "at a point is a bias, which standard deviations do not contain.",
             f"- Stiffening: true {of['true'] / 1e8:.2f}, found {of['surface'] / 1e8:.2f} ± "
             f"{of['surface_std'] / 1e8:.2f} (1e8 1/m²).",
             f"- Cross-validation on another recording of the same point, {len(linear)} pairs, x and y: linear "

@@ -44,3 +44,10 @@ class SurfaceNote(NoteKind):
         "They have no surface, though they differ between fits.",
         "Give them a surface if they depend on the operating point.",
     )
+    SCATTER_UNSEEN = Explanation(
+        "GB307",
+        "a recording alone determines the surfaces at its operating point",
+        "The surfaces pass through its estimates, so no residual shows how it scatters. The scatter of the others is "
+        "taken; where there are no others, standard deviations are far too small.",
+        "Add recordings at this operating point, or use a lower order.",
+    )

@@ -13,6 +13,7 @@ from gbid.lpv import Estimates, characteristics, regressors
 from gbid.lpv.surface_fit.estimates import _finite
 from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
 from gbid.lpv.surface_fit.order import lack_of_fit
+from gbid.lpv.surface_fit.regression import regression
 from gbid.lpv.surface_fit.terms import orthonormal
 from gbid.rig import Machine, Scatter, scatter_random, scattered
 from gbid.structure import KEY_PARAMETERS
@@ -115,6 +116,31 @@ def test_sandwich_does_not_believe_wrong_weights():
         found.append(c)
         stated.append(np.diag(sandwich(y, X, V, c)))
     np.testing.assert_allclose(np.mean(stated, axis=0), np.var(found, axis=0), rtol=0.2)
+
+
+def test_standard_deviations_are_right_where_recordings_scatter_more_and_less():
+    """One scatter for all points makes them twice too large at one end of the range, and too small at the other."""
+    rng = np.random.default_rng(21)
+    points = np.repeat(np.linspace(-1, 1, 5), 6)[:, None]
+    sigma = 1 + 0.5 * points
+    names, C = tuple(f"r{i}" for i in range(30)), np.full((30, 1, 1), 0.01)
+    ends, z = np.array([[1, -1, 1], [1, 1, 1]]), []
+    for _ in range(90):
+        values = sigma * rng.normal(size=(30, 1)) + 0.1 * rng.normal(size=(30, 1))
+        found = regression(Estimates(names, points, values, C, (), ("a",), ("v",)), "scatter", 2, False)
+        z.append(ends @ found.coefficients[0] / np.sqrt(np.einsum("pi,ij,pj->p", ends, found.covariance, ends)))
+    np.testing.assert_allclose(np.sqrt(np.mean(np.square(z), axis=0)), 1.0, atol=0.25)
+
+
+def test_a_recording_that_alone_determines_its_point_has_the_scatter_of_the_others_and_is_named():
+    rng = np.random.default_rng(22)
+    points = np.array([0.0, 0, 0, 0, 0, 1])[:, None]
+    data = Estimates(tuple("abcdef"), points, rng.normal(size=(6, 1)), np.full((6, 1, 1), 0.1), (), ("a",), ("v",))
+    found = regression(data, "scatter", 1, False)
+    assert found.covariance.sum() == pytest.approx(found.scatter[0, 0] + 0.1)  # that of one recording, at v = 1
+    (note,) = found.notes
+    assert note.startswith("recordings that alone determine the surfaces at their operating point: f;")
+    assert note.endswith("[GB307]")
 
 
 def assert_covers_the_truth(fits, seed):

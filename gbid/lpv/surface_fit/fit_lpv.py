@@ -100,7 +100,8 @@ def fit_lpv(
         ``"scatter"``: generalised least squares of all parameters together. The weights come from the covariance of
         each fit plus the scatter between recordings, which is estimated by restricted maximum likelihood. ``"fits"``:
         the same with the covariance of each fit alone. ``"ordinary"``: ordinary least squares. The covariance of the
-        coefficients is model-based for the first and a robust estimate from the residuals (HC3) for the others.
+        coefficients comes from the residuals (HC3), so that machines may scatter more at some operating points than at
+        others; for the first it is tempered with the model, which counts as one recording more at each value.
     order : int, "auto" or sequence of str
         Order of the polynomials: 0 to 2 for a gas bearing, 0 to 3 with `structure`. ``"auto"`` chooses it up to 2 by
         cross-validation over operating points, without terms in a variable that does not vary. A sequence names terms:

@@ -18,6 +18,7 @@ from gbid.arrays import BoolArray, FloatArray
 _TOLERANCE = 1e-4  # change of S in one step, relative to the variance of the residuals
 _LEAST = 1e-3  # smallest eigenvalue of the start value of S, in the same units
 _MOST = 500  # largest number of steps
+_ALONE = 0.99  # leverage from which a row is fitted by its own: less than a tenth of its error is in its residual
 
 
 class MixedFit(NamedTuple):
@@ -146,10 +147,57 @@ def sandwich(y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArr
 
     The residuals replace the errors. They are enlarged for rows with large leverage (HC3: MacKinnon and White, 1985).
     """
-    weighted = np.linalg.solve(V, X)
-    inverse = _inverse(np.einsum("ikm,ikl->ml", X, weighted, optimize=True))
-    pull = X @ inverse @ weighted.transpose(0, 2, 1)
-    own = np.eye(y.shape[1]) - pull
-    residuals = np.linalg.solve(own, (y - X @ coefficients)[:, :, None])
-    scores = (weighted.transpose(0, 2, 1) @ residuals)[:, :, 0] @ inverse
+    inverse, weighted, pull = _leverage(X, V)
+    scores = _scores(y - X @ coefficients, pull, weighted) @ inverse
     return np.asarray(scores.T @ scores)
+
+
+class LocalCovariance(NamedTuple):
+    """Covariance of coefficients (m, m), and rows whose residual says nothing, because they alone are fitted (n,)."""
+
+    covariance: FloatArray
+    alone: BoolArray
+
+
+def tempered_sandwich(
+    y: FloatArray, X: FloatArray, V: FloatArray, coefficients: FloatArray, factors: tuple[float, float] = (1.0, 1.0)
+) -> LocalCovariance:
+    """Return the covariance of generalised least-squares coefficients, where rows may scatter unequally.
+
+    The sandwich of `sandwich` takes the covariance of each row from its own residual. Where few rows determine a value
+    of the surface, that is a mean over few squares. So the covariance of row i is a weighted mean of the two,
+    ``(e_i e_i' + h_i V_i) / (1 + h_i)``, with the residual e_i of HC3 and the leverage h_i of the row, which is one
+    over the number of rows that determine its value. V_i counts as one more row beside these. A row that is fitted
+    exactly has no residual; there V_i alone is taken.
+
+    Parameters
+    ----------
+    y, X, V : arrays
+        As in `generalised`.
+    coefficients : (m,) array
+        Its solution.
+    factors : (float, float)
+        Factors on the covariance from residuals and on that from V, for data that are clipped.
+    """
+    inverse, weighted, pull = _leverage(X, V)
+    leverage = np.einsum("ikk->i", pull) / y.shape[1]
+    alone = np.linalg.eigvals(pull).real.max(axis=1) > _ALONE
+    share = np.where(alone, 0.0, 1 / (1 + leverage))
+    scores = _scores(y - X @ coefficients, np.where(alone[:, None, None], 0.0, pull), weighted) @ inverse
+    from_residuals = (scores * share[:, None]).T @ scores
+    from_model = inverse @ np.einsum("i,ikm,ikl->ml", 1 - share, X, weighted, optimize=True) @ inverse
+    covariance = factors[0] * from_residuals + factors[1] * from_model
+    return LocalCovariance(0.5 * (covariance + covariance.T), alone)
+
+
+def _leverage(X: FloatArray, V: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the inverse of the information (m, m), V^-1 X (n, k, m), and the leverages (n, k, k)."""
+    weighted = np.asarray(np.linalg.solve(V, X), float)
+    inverse = _inverse(np.einsum("ikm,ikl->ml", X, weighted, optimize=True))
+    return inverse, weighted, X @ inverse @ weighted.transpose(0, 2, 1)
+
+
+def _scores(residuals: FloatArray, pull: FloatArray, weighted: FloatArray) -> FloatArray:
+    """Return the gradient of each row at its residual as if the row had not been fitted, (n, m)."""
+    without = np.linalg.solve(np.eye(pull.shape[1]) - pull, residuals[:, :, None])
+    return np.asarray((weighted.transpose(0, 2, 1) @ without)[:, :, 0])

@@ -12,11 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import BoolArray, FloatArray
 from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv.surface_fit.estimates import Estimates, as_estimates
-from gbid.lpv.surface_fit.mixed import generalised, sandwich, with_scatter
+from gbid.lpv.surface_fit.mixed import generalised, sandwich, tempered_sandwich, with_scatter
 from gbid.lpv.surface_fit.order import OrderScore, best_order, compare_orders, lack_of_fit
 from gbid.lpv.surface_fit.outliers import CLIPPING_SLOPE, HUBER, Outlier, huber_estimate, outliers, standardised
 from gbid.lpv.surface_fit.terms import (
@@ -31,6 +31,7 @@ from gbid.structure.scheduling.monomials import Exponents, term_name
 from gbid.threads import one_blas_thread
 
 Weighting = Literal["scatter", "fits", "ordinary"]
+_NAMED = 3  # recordings named in a note
 _MISSED = 0.01  # significance level of the lack-of-fit test, divided by the number of parameters
 
 
@@ -152,7 +153,9 @@ def _solve(estimates: Estimates, design: Orthonormal, weighting: Weighting, robu
     else:
         coefficients, clipped = generalised(y, X, V).coefficients, y
     if weighting == "scatter":
-        covariance = generalised(clipped, X, V).covariance * cost
+        factors = (1 / CLIPPING_SLOPE**2, cost) if robust else (1.0, 1.0)
+        covariance, alone = tempered_sandwich(clipped, X, V, coefficients, factors)
+        notes = (*notes, *_unchecked(estimates, alone))
     else:
         covariance = sandwich(clipped, X, V, coefficients) / (CLIPPING_SLOPE**2 if robust else 1.0)
     residuals = y - X @ coefficients
@@ -192,6 +195,20 @@ def _with_covariance(estimates: Estimates) -> Estimates:
     gone = tuple(f"{name}: {why}" for name, ok in zip(estimates.recordings, known, strict=True) if not ok)
     kept = estimates.rows([i for i, ok in enumerate(known) if ok])
     return as_estimates(replace(kept, left_out=(*estimates.left_out, *gone)))
+
+
+def _unchecked(estimates: Estimates, alone: BoolArray) -> tuple[str, ...]:
+    """Return a note on the recordings that alone determine the surfaces at their operating point."""
+    names = [name for name, one in zip(estimates.recordings, alone, strict=True) if one]
+    if not names:
+        return ()
+    named = ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")
+    return (
+        SurfaceNote.SCATTER_UNSEEN(
+            f"recordings that alone determine the surfaces at their operating point: {named}; "
+            "no residual shows how they scatter, and the standard deviations take the scatter of the others"
+        ),
+    )
 
 
 def _notes(estimates: Estimates, missed: FloatArray) -> tuple[str, ...]:
