@@ -69,8 +69,8 @@ def maximise_damping(
     start : (d,) array, optional
         Gains as an additional start value. The zero vector (moved into the bounds) is always a start value.
     starts : int, optional
-        Number of random starts of the global stage. By default a grid for up to three gains; for more gains 24 for up
-        to twelve, else 12, but 8 with limits on frequency responses.
+        Number of random starts of the global stage. By default a grid for up to three gains; for more gains with limits
+        16, and 8 for more than eight gains; without limits 24, and 12 for more than twelve gains.
     seed : int
         Seed of the random starts.
     evaluations : int, optional

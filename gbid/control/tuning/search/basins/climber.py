@@ -22,6 +22,10 @@ _ROUGH = 30
 """Number of iterations from each start where more than eigenvalues counts; the better two thirds get as many again."""
 LATER_RADIUS = 0.02
 """Trust region with which these go on, as a share of the bounds."""
+_SMALL = 8
+"""Largest number of gains for which twice as many starts with limits take about a second."""
+_FEW = 6
+"""Largest number of gains whose first climbs are not plain: they are cheap, and end in the lower basin less often."""
 _NEXT = 1e-3
 """Distance from a bound, as a share of the bounds, of a gain that is next to it."""
 _SHORT = (1e-3, 5e-3)
@@ -51,7 +55,7 @@ class Climber:
     def starts(self) -> int:
         """Number of random starts."""
         if not self.free:
-            return 8
+            return 8 if len(self.unit) > _SMALL else 16
         return 24 if len(self.unit) <= 12 else 12
 
     @property
@@ -63,7 +67,7 @@ class Climber:
         """Return a design near a start that is better, with few evaluations; fewer where the goal is out of reach."""
         if self.free:
             return self._ascent(start, 100 + 20 * len(start))
-        plain = radius > LATER_RADIUS
+        plain = radius > LATER_RADIUS and len(start) > _FEW
         return optimise_locally(
             self.problem,
             start,
