@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import zgees, ztrsen, ztrsyl
+from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.tuning.search.spectrum import LARGEST
@@ -53,7 +53,7 @@ class Cluster:
 
 
 class InvariantSubspaces:
-    """Invariant subspaces of the matrix of a loop, from one Schur form that is reordered for each of them.
+    """Invariant subspaces of the matrix of a loop, from one Schur form of the balanced matrix that is reordered for each.
 
     Parameters
     ----------
@@ -67,7 +67,8 @@ class InvariantSubspaces:
         self.dA = dA
         self.usable = bool(np.isfinite(A).all() and np.isfinite(dA).all() and np.abs(A).max() < LARGEST)
         if self.usable:
-            self._form, _, _, self._basis, _, failed = zgees(lambda _: None, A)
+            balanced, _, _, self._units, _ = dgebal(A, scale=1)
+            self._form, _, _, self._basis, _, failed = zgees(lambda _: None, balanced)
             self.usable = failed == 0
 
     @property
@@ -114,7 +115,8 @@ class InvariantSubspaces:
                 return None
             left = basis.conj().T
             left = left[:size] + (X / scale) @ left[size:]
-        return _cluster(form[:size, :size], left, basis[:, :size], self.dA, rate)
+        right = self._units[:, None] * basis[:, :size]
+        return _cluster(form[:size, :size], left / self._units, right, self.dA, rate)
 
 
 def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:

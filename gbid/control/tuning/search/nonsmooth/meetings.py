@@ -87,8 +87,8 @@ def meetings(problem: GainProblem, x: FloatArray, functions: ActiveFunctions) ->
     subspaces = problem.subspaces(x, functions.states)
     groups: list[tuple[Meeting, ...]] = []
     joint: list[Meeting] = []
-    for i, key in enumerate((*tightest[: 2 * _ALONE], *largest)):
-        alone = i < _ALONE or key in largest
+    for key in (*tightest[: 2 * _ALONE], *largest):
+        alone = len(groups) < _ALONE or key in largest
         if not alone and len(joint) >= _TOGETHER:
             continue
         f, loop, size, _ = key

@@ -14,6 +14,8 @@ import numpy as np
 from gbid.arrays import FloatArray
 
 _INPUTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
+_PROXIMAL = {"eps_prox": 1e-4, "eta_prox": 1e-8}
+"""Weight and tolerance of proximal iterations: without them rows are broken by percents where H is nearly zero."""
 
 
 class QuadraticProgramme:
@@ -27,7 +29,7 @@ class QuadraticProgramme:
 
     def __init__(self, n: int, m: int) -> None:
         shapes = {"h": ca.Sparsity.dense(n, n), "a": ca.Sparsity.dense(m, n)}
-        self._solver: Any = ca.conic("step", "daqp", shapes, {"error_on_fail": False})
+        self._solver: Any = ca.conic("step", "daqp", shapes, {"error_on_fail": False, "daqp": _PROXIMAL})
         buffer: Any
         buffer, self._trigger = self._solver.buffer()  # its stub asks for a size besides, which a memoryview has
         self._buffer = buffer
