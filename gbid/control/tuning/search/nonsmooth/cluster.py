@@ -53,7 +53,7 @@ class Cluster:
 
 
 class InvariantSubspaces:
-    """Invariant subspaces of the matrix of a loop, from one Schur form of the balanced matrix that is reordered for each.
+    """Invariant subspaces of the matrix of a loop, from one Schur form of the balanced matrix.
 
     Parameters
     ----------
