@@ -25,8 +25,7 @@ def serve(connection: Connection) -> None:
     threading.Thread(target=_end_with_runner, daemon=True).start()
     from gbid.campaign.shipping import attempt  # imports all packages, once, before the first task
 
-    gc.freeze()  # what was imported stays: without it, each collection of garbage would go through all of it
-    gc.set_threshold(50_000, 20, 50)  # symbols are many objects, few of them garbage: a fit takes 6 % less
+    collect_less()
     connection.send(READY)
     job = None
     try:
@@ -40,6 +39,15 @@ def serve(connection: Connection) -> None:
                 connection.send((number, attempt(job, task)))
     except (EOFError, OSError):  # the runner has ended
         return
+
+
+def collect_less() -> None:
+    """Leave what there is, as all that was imported, out of each collection of garbage, and collect less often.
+
+    Symbols and pictures are many objects, few of them garbage: a fit takes 6 % less.
+    """
+    gc.freeze()
+    gc.set_threshold(50_000, 20, 50)
 
 
 def _end_with_runner() -> None:

@@ -7,7 +7,6 @@ and tables.
 
 from __future__ import annotations
 
-import gc
 import linecache
 import multiprocessing
 import os
@@ -18,6 +17,8 @@ from collections.abc import Mapping
 from functools import cache
 from multiprocessing.context import ForkServerContext
 from pathlib import Path
+
+from gbid.campaign.worker import collect_less
 
 FENCE = re.compile(r"^(`{3,}|~{3,})([^\n]*)\n(.*?)^\1[ ]*$", re.MULTILINE | re.DOTALL)
 
@@ -73,8 +74,7 @@ def run_apart(path: Path, folder: Path, surroundings: Mapping[str, str]) -> tupl
 
 
 def _run_into(path: Path, folder: Path, surroundings: Mapping[str, str], output: Path) -> None:
-    gc.freeze()  # else each collection of garbage goes through the libraries
-    gc.set_threshold(50_000, 20, 50)
+    collect_less()
     os.environ.update(surroundings)
     os.chdir(folder)
     place = os.open(output, os.O_CREAT | os.O_WRONLY)

@@ -5,16 +5,15 @@ from __future__ import annotations
 from heapq import heapify, heappop, heappush
 
 import numpy as np
-import numpy.typing as npt
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.nonsmooth.active import merit
+from gbid.control.tuning.search.peaks import IntArray
 from gbid.control.tuning.search.plane import true_rates
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.spectrum import eigenvalues
 from gbid.control.tuning.search.starts.draws import WIDE
 
-IntArray = npt.NDArray[np.intp]
 _PENALTY = 10.0
 _BOUNDING = 4
 """Largest number of loops of a family in a bound: a few far apart give nearly the bound of all."""
