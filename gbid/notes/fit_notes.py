@@ -60,7 +60,7 @@ class FitNote(NoteKind):
     OVERFLOWS = Explanation(
         "GB109",
         "the model overflows at some points of the search",
-        "The solver tried parameters for which the simulation is not finite, and stepped back from them.",
+        "The solver tried parameters for which the simulation is not finite or far beyond the data, and stepped back.",
         "Nothing, if the fit converged. Bounds around what is possible make the search shorter.",
     )
     PREDICTOR_AT_EDGE = Explanation(

@@ -30,6 +30,7 @@ IpoptOptions = Mapping[str, str | float]
 _TOLERANCE = 1e-6  # of IPOPT on the scaled optimality conditions
 _REST = 0.1  # standard deviations that the next step of a solution may still be long
 _REST_BY_PAPER = 1.0  # the same for the paper's rule, which stops earlier
+_FARTHEST = 1e9  # times the largest gap of the start: what IPOPT tries beyond takes MUMPS seconds to factorise
 _TIGHTER = 1e-4  # of the tolerance, for a solution that has not come to rest
 
 _BY_IPOPT = {
@@ -186,7 +187,7 @@ def _run(
 ) -> Solution:
     """Run IPOPT once from a start within bounds."""
     start, lower, upper = box
-    trouble = Trouble()
+    trouble = Trouble(most=_FARTHEST)
     solver, functions = _ipopt(problem, watch, tolerance, max_iterations, curvature, trouble, ipopt)
     if watch.interrupt.error is None:
         with one_solver():

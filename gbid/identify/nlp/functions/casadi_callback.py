@@ -25,10 +25,23 @@ class Trouble:
         Number of points at which the cost has no finite value.
     defect : Exception or None
         First exception that is not numerical.
+    most : float
+        How many times the largest gap of the first point, or one if that is larger, a gap may become. A point with a
+        larger one has no value either.
+    first : float or None
+        Largest gap of the first point.
     """
 
     points: int = 0
     defect: Exception | None = None
+    most: float = np.inf
+    first: float | None = None
+
+    def too_far(self, gap: float) -> bool:
+        """Return whether a point with this largest gap is too far from where the solver began."""
+        if self.first is None:
+            self.first = gap
+        return gap > self.most * max(1.0, self.first)
 
 
 class Oracle(ca.Callback):

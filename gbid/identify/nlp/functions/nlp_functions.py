@@ -79,7 +79,8 @@ def nlp_functions(problem: Shooting, curvature: Curvature, trouble: Trouble) -> 
     def cost(x: FloatArray) -> list[FloatArray | float]:
         found = np.nan
         try:
-            found = problem.at(x).cost
+            here = problem.at(x)
+            found = np.nan if trouble.too_far(float(np.abs(here.gaps).max(initial=0.0))) else here.cost
             return [found, held(x)]
         finally:
             trouble.points += not np.isfinite(found)
