@@ -13,7 +13,7 @@ import pytest
 from places import DOCS
 
 import gbid
-from benchmarks import campaign_speed, fit_speed, table, worker
+from benchmarks import campaign_speed, fit_speed, nonlinear_speed, table, worker
 from benchmarks.case import N_UNKNOWNS, SAMPLE_TIME, STRUCTURE, Samples, sampled
 from benchmarks.floor import operations_per_sample
 from gbid.identify.kernel.kernel_pattern import KernelPattern
@@ -90,3 +90,21 @@ def test_stored_run_is_whole_and_names_no_machine() -> None:
     assert not re.search(r"/(home|root|tmp|work|Users)\b|hostname", text)
     gbid_loss = {fit["n_samples"]: fit["loss"] for fit in run["fits"] if fit["method"] == "compiled"}
     assert all(abs(fit["loss"] / gbid_loss[fit["n_samples"]] - 1) < 1e-6 for fit in run["fits"])
+
+
+def test_ratios_of_the_film() -> None:
+    """Each comparison counts the same kind of time on both sides, and only for the same estimates."""
+
+    def stage(build: float, solve: float) -> dict[str, Any]:
+        return {"build_cpu_s": build, "solve_cpu_s": solve, "status": "ok", "iterations": 1, "mean_square": 2.0}
+
+    stages = {"film": stage(4, 6), "linear_before": stage(2, 3), "film_after": stage(4, 7)}
+    run = json.loads(nonlinear_speed.STORED.read_text())
+    assert nonlinear_speed.agrees(run)
+    run["film"] |= {"cpu_s": 0.1, "linear_cpu_s": 0.06, "mean_square": 2.0}
+    run["mapaccum"] = stages | {"linear_off_std": 0.001}
+    assert nonlinear_speed.agrees(run)
+    ratios = re.findall(r"(\d+) times \|", nonlinear_speed.table(run))
+    assert ratios == ["100", "100", "63"]  # 10 / 0.1, 16 / 0.16, 10.06 / 0.16
+    stages["film_after"]["mean_square"] = 2.01
+    assert not nonlinear_speed.agrees(run)
