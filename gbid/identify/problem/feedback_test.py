@@ -11,6 +11,7 @@ from gbid.identify.data import Record
 from gbid.notes.fit_notes import FitNote
 
 _PAST_INPUTS, _PAST_ERRORS = 12, 4  # lags of the regressions
+_AT_ONCE = 1024  # rows
 _MOST = 8192  # samples of a record that are enough
 _SHARE = 0.02  # smallest share of what is new in an input that the errors must explain
 _CERTAIN = 50.0  # the same times the number of samples: far beyond chance for a few regressors
@@ -42,17 +43,18 @@ def share_of_feedback(record: Record, errors: FloatArray) -> float:
     columns = (_PAST_INPUTS * u.shape[1], _PAST_ERRORS * e.shape[1])
     if n - begin < 4 * sum(columns) or not u.any():
         return 0.0
-    own = np.hstack([u[begin - lag : n - lag] for lag in range(1, _PAST_INPUTS + 1)])
-    past = np.hstack([e[begin - lag : n - lag] for lag in range(1, _PAST_ERRORS + 1)])
-    own, past, now = (part / np.maximum(part.std(axis=0), np.finfo(float).tiny) for part in (own, past, u[begin:]))
-    both = np.hstack([now, past])  # decomposed once for both
-    new, beyond = np.hsplit(both - own @ np.linalg.lstsq(own, both, rcond=None)[0], [now.shape[1]])
-    left = new - beyond @ np.linalg.lstsq(beyond, new, rcond=None)[0]
-    power = (new**2).sum(axis=0)
-    share = 1 - (left**2).sum(axis=0) / np.where(power > 0, power, 1.0)
-    found = float(
-        np.max(share[power > 1e-9 * len(new)], initial=0.0)
-    )  # an input that is known from its past is left out
+    now = u / np.maximum(u[begin:].std(axis=0), np.finfo(float).tiny)
+    past = [(u, lag) for lag in range(1, _PAST_INPUTS + 1)] + [(e, lag) for lag in range(1, _PAST_ERRORS + 1)]
+    triangle = np.zeros((0, sum(columns) + u.shape[1]))
+    for first in range(begin, n, _AT_ONCE):  # QR decomposition of all rows, some at a time
+        last = min(first + _AT_ONCE, n)
+        rows = np.hstack([*(signal[first - lag : last - lag] for signal, lag in past), now[first:last]])
+        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+    # In the columns of an input, the rows below those of some regressors are what these leave of it.
+    squares = triangle[:, sum(columns) :] ** 2
+    new, left = (squares[above:].sum(axis=0) for above in (columns[0], sum(columns)))
+    share = 1 - left / np.where(new > 0, new, 1.0)
+    found = float(np.max(share[new > 1e-9 * (n - begin)], initial=0.0))  # known from its past: left out
     return found if found * (n - begin) > _CERTAIN * columns[1] / 8 else 0.0
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -156,7 +157,8 @@ def covariance(
     white = robust = over_parameters(J_white, root)
     drawn, models = None, list[ErrorModel]()
     if modelled:
-        transforms: Iterable[Transform] = (transformed(r, np.flatnonzero(keep)) for r in found.sensitivities)
+        # Unlike a generator, `map` does not hold the sensitivities while their transform is in use.
+        transforms: Iterable[Transform] = map(partial(transformed, kept=np.flatnonzero(keep)), found.sensitivities)
         transforms = transforms if bootstrap is None else list(transforms)  # draws take them again and again
         J, models = covariance_of(transforms, weight, root)
         J_known = root.T @ (known * unit)[kept] @ root

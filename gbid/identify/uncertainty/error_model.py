@@ -89,10 +89,12 @@ def lag_products(stretches: list[FloatArray], longest: int) -> tuple[FloatArray,
         )
         M[0] = irfft(now[:, None] * all_of.conj(), size)[:, :, : longest + 1].transpose(2, 0, 1)
         first, last = e[longest - 1 :: -1] if longest else e[:0], e[: n - longest - 1 : -1] if longest else e[:0]
-        for i in range(longest):  # one lag more in both: one sample enters in front, and one leaves at the end
-            M[i + 1, 0] = M[0, i + 1].T
-            M[i + 1, 1:] = M[i, :-1]
-            M[i + 1, 1:] += np.einsum("a,jb->jab", first[i], first) - np.einsum("a,jb->jab", last[i], last)
+        M[1:, 0] = M[0, 1:].transpose(0, 2, 1)
+        # One lag more in both: one sample enters in front, and one leaves at the end.
+        every = np.stack([first.ravel(), last.ravel()])
+        for i, signed in enumerate(np.stack([first, -last], axis=2)):
+            change = (signed @ every).reshape(n_y, longest, n_y).transpose(1, 0, 2)
+            np.add(M[i, :-1], change, out=M[i + 1, 1:])
         total, count = total + M, count + n - longest
     return total, count
 

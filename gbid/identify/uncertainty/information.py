@@ -209,9 +209,10 @@ def _sensitivities(
         part.kernel.passed(v, blocks, own.begin)
         for v, part, blocks, own in zip(values, problem.parts, cuts, passes, strict=True)
     ]
-    for record in sorted(of_record):
+
+    def of(own_segments: list[tuple[int, int, int]]) -> RecordSensitivities:
         segments, feedback = [], None
-        for at, k, i in sorted(of_record[record]):
+        for at, k, i in sorted(own_segments):
             own, part = (
                 of_segment(problem.parts[k].kernel, values[k], cuts[k], predictions[k], passes[k].linked, i),
                 problem.parts[k],
@@ -219,7 +220,9 @@ def _sensitivities(
             segments.append((tied_sensitivities(own, part.tie), part.index, chains[at][0]))
             if part.predictor.feeds_back and part.predictor.horizon == 1:
                 feedback = tied_values(part.kernel.feedback(values[k], cuts[k], predictions[k]), part.tie), part.index
-        yield joined_segments(segments, feedback)
+        return joined_segments(segments, feedback)
+
+    return (of(of_record[record]) for record in sorted(of_record))  # holds none that it has given away
 
 
 def _symmetric(own: PartHessian, tie: FloatArray | None) -> PartHessian:

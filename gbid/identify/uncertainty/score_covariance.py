@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
+from scipy.fft import irfft, next_fast_len
 from scipy.linalg import eigh
 
-from gbid.arrays import BoolArray, FloatArray, IntArray
+from gbid.arrays import BoolArray, ComplexArray, FloatArray, IntArray
 from gbid.identify.predictor import PredictorValues
 from gbid.identify.uncertainty.error_model import ErrorModel, error_model, lag_products, longest_order
 from gbid.identify.uncertainty.feedback_term import feedback_term
@@ -18,6 +19,7 @@ from gbid.identify.uncertainty.sensitivities import RecordSensitivities
 _ROUNDS = 2  # rounds in which the part of the errors that the fit took away is given back
 _LEAST = 0.1  # part of the covariance of the gradient that feedback of errors leaves at least
 _APART = 4096  # samples, beyond which errors are not correlated
+_AT_ONCE = 4096  # frequencies whose products are made together, in memory that is soon used again
 _LONG = 10_000  # samples of a record for which this part is negligible
 
 
@@ -52,7 +54,7 @@ def score_covariance(
     damped modes, this is a notch in their spectrum just where S counts. So the expected products of the part that is
     missing, ``psi C psi'`` with the covariance C of the estimates, are added to those of the residuals.
     """
-    return covariance_of((transformed(record, kept) for record in records), weight, root)
+    return covariance_of(map(partial(transformed, kept=kept), records), weight, root)
 
 
 def covariance_of(
@@ -113,7 +115,7 @@ class Transform(NamedTuple):
         Whether a sample is in the cost.
     """
 
-    psi: FloatArray
+    psi: ComplexArray
     columns: IntArray
     size: int
     feedback: tuple[PredictorValues, IntArray, IntArray] | None
@@ -129,7 +131,8 @@ def transformed(record: RecordSensitivities, kept: IntArray) -> Transform:
     size = next_fast_len(n + min(n, _APART), real=True)
     psi = record.psi if len(own) == len(place) else record.psi[:, own]
     feedback = _feedback(record, place, own)
-    return Transform(rfft(psi, size), place[own], size, feedback, record.errors, record.counted)
+    onto = np.fft.rfft(psi, size)  # pads row by row; that of scipy copies all rows first
+    return Transform(onto, place[own], size, feedback, record.errors, record.counted)
 
 
 def _feedback(
@@ -159,12 +162,15 @@ def _add(total: FloatArray, transform: Transform, model: ErrorModel, weight: Flo
     """Add the covariance of the gradient of a record."""
     psi, own, size = transform.psi, transform.columns, transform.size
     found = np.zeros((len(own), len(own)))
-    for row in _weighted(model, weight, size):
-        coloured = row[0] * psi[0]
-        for factor, slopes in zip(row[1:], psi[1:], strict=True):
-            coloured += factor * slopes
-        parts = coloured.view(float)
-        found += parts @ parts.T
+    factors = _weighted(model, weight, size)
+    for first in range(0, psi.shape[2], _AT_ONCE):
+        some = slice(first, first + _AT_ONCE)
+        for row in factors[:, :, some]:
+            coloured = row[0] * psi[0, :, some]
+            for factor, slopes in zip(row[1:], psi[1:, :, some], strict=True):
+                coloured += factor * slopes
+            parts = coloured.view(float)
+            found += parts @ parts.T
     total[0][np.ix_(own, own)] += 2 / size * found
     if transform.feedback is not None and model.order:
         v, which, places = transform.feedback
