@@ -44,13 +44,13 @@ class ErrorModel(NamedTuple):
         """
         n_y = len(self.innovation)
         lags = np.concatenate([np.eye(n_y)[None], -self.coefficients])
-        return np.asarray(_inverses(rfft(lags, size, axis=0)) @ np.linalg.cholesky(self.innovation))
+        return np.asarray(np.tensordot(_inverses(rfft(lags, size, axis=0)), np.linalg.cholesky(self.innovation), 1))
 
     def spectrum(self, frequencies: FloatArray) -> FloatArray:
         """Return the spectrum at frequencies (n,) in radians per sample, (n, n_y, n_y) complex."""
         lags = np.concatenate([np.eye(len(self.innovation))[None], -self.coefficients])
-        turns = np.exp(-1j * np.outer(frequencies, np.arange(len(lags))))
-        root = _inverses(np.tensordot(turns, lags, 1)) @ np.linalg.cholesky(self.innovation)
+        turns = np.vander(np.exp(-1j * frequencies), len(lags), increasing=True)
+        root = np.tensordot(_inverses(np.tensordot(turns, lags, 1)), np.linalg.cholesky(self.innovation), 1)
         return np.asarray(root @ root.conj().transpose(0, 2, 1))
 
 
