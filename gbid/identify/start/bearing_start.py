@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import scipy
 
-from gbid.arrays import FloatArray
+from gbid.arrays import ComplexArray, FloatArray
 from gbid.errors import DataError
 from gbid.identify.data import Record, moves
 from gbid.identify.start.spectra import as_real, spectrum_of
@@ -22,8 +22,8 @@ _FREQUENCIES = 800  # largest number in the band of the resonance; modes are muc
 _ENOUGH = 50_000  # largest number of samples of a record for start values; the fit uses all
 
 
-def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[float, float]:
-    """Return the band around the resonance [rad/s], which contains the two modes.
+def _resonance_band(spectra: list[tuple[FloatArray, ComplexArray, ComplexArray]]) -> tuple[float, float]:
+    """Return the band around the resonance [rad/s], which contains the two modes, from frequencies and transforms.
 
     Its centre is the peak of ``|P|^2 / |U|``, the geometric mean of power and gain. Power alone may have a peak where
     the input is strong: a PRBS has little power at the inverse of its hold time. Gain alone may have one where both are
@@ -31,9 +31,7 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
     """
     totals: dict[int, FloatArray] = {}
     resolution = 2.0  # Hz: smooths the spectrum, and is small compared with the frequencies of the modes
-    for record in records:
-        omega, U = spectrum_of(record.inputs, sample_time)
-        _, P = spectrum_of(record.outputs, sample_time)
+    for omega, U, P in spectra:
         bins = (omega / (2 * np.pi * resolution)).astype(int)
         binned = np.array([np.bincount(bins, (np.abs(values) ** 2).sum(1)) for values in (U, P)])
         totals[binned.shape[1]] = totals.get(binned.shape[1], np.zeros_like(binned)) + binned
@@ -48,12 +46,11 @@ def _resonance_band(records: tuple[Record, ...], sample_time: float) -> tuple[fl
 def bearing_start(structure: RotorBearing, records: tuple[Record, ...], sample_time: float) -> dict[str, float]:
     """Return K, D and B by least squares for given delays; a grid and a simplex search find the two delays."""
     records = tuple(Record(r.name, r.inputs[:_ENOUGH], r.outputs[:_ENOUGH]) for r in records)
-    low, high = _resonance_band(records, sample_time)
+    spectra = [(*spectrum_of(r.inputs, sample_time), spectrum_of(r.outputs, sample_time)[1]) for r in records]
+    low, high = _resonance_band(spectra)
     known, targets, drives, omegas = [], [], [], []
     n_records = len(records)
-    for i, record in enumerate(records):
-        omega, U = spectrum_of(record.inputs, sample_time)
-        _, P = spectrum_of(record.outputs, sample_time)
+    for i, (omega, U, P) in enumerate(spectra):
         band = np.flatnonzero((omega >= low) & (omega <= high))
         keep = band[:: max(1, len(band) * n_records // _FREQUENCIES)]
         s = 1j * omega[keep, None]
