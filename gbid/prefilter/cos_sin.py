@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 
 from gbid.arrays import FloatArray
@@ -52,10 +55,7 @@ def cos_sin(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     Microsystems, 1993).
     """
     quarters = np.floor(angle * QUARTERS_PER_RADIAN + 0.5)
-    rest = (angle - quarters * QUARTER[0]) - quarters * QUARTER[1]
-    z = rest * rest
-    sine = rest + (z * rest) * _polynomial(SINE, z)
-    cosine = 1.0 - (0.5 * z - z * (z * _polynomial(COSINE, z)))
+    cosine, sine = _within_a_quarter(angle, quarters)
     turned = np.asarray(quarters, dtype=np.int64) & 3
     swap = (turned & 1) == 1
     found_cosine, found_sine = np.where(swap, sine, cosine), np.where(swap, cosine, sine)
@@ -65,9 +65,29 @@ def cos_sin(angle: FloatArray) -> tuple[FloatArray, FloatArray]:
     )
 
 
-def _polynomial(coefficients: tuple[float, ...], z: FloatArray) -> FloatArray:
+def cos_sin_of_one(angle: float) -> tuple[float, float]:
+    """Return cosine and sine of one angle, the same bits as `cos_sin` in a tenth of its time.
+
+    Parameters
+    ----------
+    angle : float
+        Angle [rad], up to 1e6 in magnitude.
+    """
+    quarters = math.floor(angle * QUARTERS_PER_RADIAN + 0.5)
+    cosine, sine = _within_a_quarter(angle, float(quarters))
+    return ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))[quarters & 3]
+
+
+def _within_a_quarter(angle: Any, quarters: Any) -> tuple[Any, Any]:
+    """Return cosine and sine of what angles are beyond their nearest quarter turns; of numbers or of arrays."""
+    rest = (angle - quarters * QUARTER[0]) - quarters * QUARTER[1]
+    z = rest * rest
+    return 1.0 - (0.5 * z - z * (z * _polynomial(COSINE, z))), rest + (z * rest) * _polynomial(SINE, z)
+
+
+def _polynomial(coefficients: tuple[float, ...], z: Any) -> Any:
     """Return ``c0 + z (c1 + z (c2 + ...))``."""
-    value = np.full_like(z, coefficients[-1])
+    value: Any = coefficients[-1]
     for coefficient in coefficients[-2::-1]:
         value = coefficient + z * value
     return value

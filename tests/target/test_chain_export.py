@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from chain_cases import BIQUAD, design, runout_map
+from figure_cases import BlankPictures
 from target_files import write_box
 
 import gbid
@@ -17,6 +18,7 @@ from gbid.cli.main import app
 from gbid.control import ControllerDesign, controller_structure
 from gbid.errors import DataError, UsageError
 from gbid.recording import Recording
+from gbid.report.html import report_file
 from gbid.structure import LinearModel
 from gbid.target import ChainOptions, CompiledChain, chain_of, write_chain
 from gbid.target.identifiers import c_comment
@@ -31,7 +33,9 @@ def run(*arguments: object) -> int:
 @pytest.fixture(scope="module")
 def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = write_box(tmp_path_factory.mktemp("box"), "target: {number: float, disc_limit_m: 15.0e-6, ramp_s: 0.1}\n")
-    assert run("run", path) == 0
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(report_file, "Pictures", BlankPictures)
+        assert run("run", path) == 0
     return path
 
 
