@@ -49,7 +49,7 @@ def test_on_the_rig_the_chain_is_the_sampled_controller(engine: str) -> None:
     matrices = SampledController(*parts, 2e-4, offset=zero)
     chain = chain_of(controller, options=ChainOptions(ramp_s=0.02, fade_s=0.02, zero_m=zero))
     program = ProgramController(CompiledChain(chain), 2e-4)
-    duration = 0.1 if engine == "python" else 0.4
+    duration, rest = (0.1, 0.1) if engine == "python" else (0.4, 0.2)
     runs = [
         record(
             machine,
@@ -58,7 +58,7 @@ def test_on_the_rig_the_chain_is_the_sampled_controller(engine: str) -> None:
             seed=1,
             name="impact",
             controller=each,
-            settle_s=0.2,
+            settle_s=rest,
             engine=engine,  # type: ignore[arg-type]
         )
         for each in (matrices, program)
