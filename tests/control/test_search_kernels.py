@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from gbid.control.tuning.search.kernels.compiled import kernels
 from gbid.control.tuning.search.kernels.nearby_eigenvalues import NearbyEigenvalues
 from gbid.control.tuning.search.loop_family import Derivatives
+from gbid.control.tuning.search.nonsmooth.cluster import InvariantSubspaces, near_sums
 from gbid.control.tuning.search.peaks import find_peaks, peak_slopes
 from gbid.control.tuning.search.spectrum import Eigensystem
 
-_WITH_KERNELS = (
-    "gbid.control.tuning.search.peaks.kernels",
-    "gbid.control.tuning.search.kernels.nearby_eigenvalues.kernels",
+_WITH_KERNELS = tuple(
+    f"gbid.control.tuning.search.{module}.kernels"
+    for module in ("peaks", "kernels.nearby_eigenvalues", "kernels.schur_form", "nonsmooth.cluster", "spectrum")
 )
+
+
+@pytest.fixture
+def without_kernels(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Return a function after whose call numpy takes the place of the kernels."""
+
+    def leave() -> None:
+        for name in _WITH_KERNELS:
+            monkeypatch.setattr(name, lambda: None)
+
+    return leave
 
 
 def loops(parallel: float) -> Derivatives:
@@ -31,7 +45,7 @@ def loops(parallel: float) -> Derivatives:
 @pytest.mark.parametrize("parallel", [0.3, 1e-9])
 @pytest.mark.parametrize("rows", [slice(0, 2), slice(2, None)])
 def test_peaks_and_their_gradients_are_those_of_numpy(
-    parallel: float, rows: slice, monkeypatch: pytest.MonkeyPatch
+    parallel: float, rows: slice, without_kernels: Callable[[], None]
 ) -> None:
     assert kernels() is not None
     given = loops(parallel)
@@ -39,8 +53,7 @@ def test_peaks_and_their_gradients_are_those_of_numpy(
     extra = np.array([1, 4]), np.array([33.0, 71.0])
     fast = find_peaks(given, modes, rows, extra, least=0.1)
     fast_slopes, fast_values = peak_slopes(given, rows, fast)
-    for name in _WITH_KERNELS:
-        monkeypatch.setattr(name, lambda: None)
+    without_kernels()
     plain = find_peaks(given, modes, rows, extra, least=0.1)
     plain_slopes, plain_values = peak_slopes(given, rows, fast)
     assert len(plain.loop) > 5
@@ -51,7 +64,7 @@ def test_peaks_and_their_gradients_are_those_of_numpy(
     np.testing.assert_allclose(fast_slopes, plain_slopes, rtol=1e-8, atol=1e-10 * np.abs(plain_slopes).max())
 
 
-def test_eigenvalues_of_nearby_loops_are_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_eigenvalues_of_nearby_loops_are_followed(without_kernels: Callable[[], None]) -> None:
     there = loops(0.3)
     move = 1e-3 * there.dA[:, 0]
     both = Derivatives.joined([there, Derivatives(there.A + move, *list(vars(there).values())[1:])])
@@ -59,7 +72,62 @@ def test_eigenvalues_of_nearby_loops_are_followed(monkeypatch: pytest.MonkeyPatc
     places = np.array([system.values[i, 3] for i in range(6)])
     which = np.arange(6)[:, None] + np.array([0, 6])
     values, slopes = NearbyEigenvalues(both, 6).slopes(which, places)
-    monkeypatch.setattr(_WITH_KERNELS[1], lambda: None)
+    without_kernels()
     plain_values, plain_slopes = NearbyEigenvalues(both, 6).slopes(which, places)
     np.testing.assert_allclose(values, plain_values, rtol=1e-10)
     np.testing.assert_allclose(slopes, plain_slopes, rtol=1e-8, atol=1e-9)
+
+
+def matrices() -> list[np.ndarray]:
+    """Matrices of 2 to 24 states: random ones, triangular ones, ones in bad units, and ones with triple eigenvalues."""
+    rng, found = np.random.default_rng(3), []
+    for n in range(2, 25):
+        A = 30.0 * rng.standard_normal((n, n))
+        units = 2.0 ** rng.integers(-15, 15, n)
+        Q = np.linalg.qr(A)[0]
+        triple = np.diag(-np.arange(1.0, n + 1)) + np.diag([1.0, 1.0, *[0.0] * n][: n - 1], 1)
+        triple[[0, 1, 2][:n], [0, 1, 2][:n]] = -0.5
+        found += [A, np.triu(A), A * units / units[:, None], Q @ triple @ Q.T]
+    return found
+
+
+def test_eigensystems_are_those_of_numpy(without_kernels: Callable[[], None]) -> None:
+    every = [A[None] for A in matrices()]
+    fast = [Eigensystem.of(A) for A in every]
+    without_kernels()
+    for A, one in zip(every, fast, strict=True):
+        assert one.known_left is not None
+        plain = Eigensystem.of(A)
+        size, longest = np.abs(A).max(), np.abs(one.left).max()
+        assert np.abs(A @ one.right - one.right * one.values[:, None]).max() < 1e-13 * size
+        assert np.abs(one.left @ A - one.values[:, :, None] * one.left).max() < 1e-13 * size * longest
+        assert np.abs((one.left * one.right.transpose(0, 2, 1)).sum(axis=2) - 1).max() < 1e-14 * longest
+        if np.abs(plain.left).max() < 1e6:
+            np.testing.assert_allclose(np.sort_complex(one.values), np.sort_complex(plain.values), rtol=1e-9)
+
+
+def test_clusters_are_those_of_lapack(without_kernels: Callable[[], None]) -> None:
+    rng, given = np.random.default_rng(4), []
+    for A in matrices():
+        values = np.linalg.eigvals(A)
+        place, size = values[rng.integers(len(A))], int(rng.integers(2, min(len(A), 5) + 1))
+        given.append((A, rng.standard_normal((3, *A.shape)), place, size, max(abs(place), 1e-3)))
+    places = [np.array([[place.real, place.imag, rate, size]]) for _, _, place, size, rate in given]
+    fast = [InvariantSubspaces(A, dA).cluster(place, size, rate) for A, dA, place, size, rate in given]
+    fast_sums = [near_sums(one[0], at)[1][0] for one, at in zip(given, places, strict=True)]
+    without_kernels()
+    compared = 0
+    for (A, dA, place, size, rate), at, one, sums in zip(given, places, fast, fast_sums, strict=True):
+        plain = InvariantSubspaces(A, dA).cluster(place, size, rate)
+        assert (plain is None) == (one is None)
+        if plain is None or one is None:
+            continue
+        compared += 1
+        for name in ("mean", "powers", "mean_slope", "powers_slope"):
+            exact = np.atleast_1d(getattr(plain, name))
+            np.testing.assert_allclose(getattr(one, name), exact, rtol=1e-7, atol=1e-9 * max(np.abs(exact).max(), 1e-3))
+        mean, powers = near_sums(A, at)[1][0]
+        np.testing.assert_allclose(sums[0], mean, rtol=1e-10)
+        np.testing.assert_allclose(sums[1], powers, rtol=1e-8, atol=1e-11)
+        np.testing.assert_allclose(one.powers, powers, rtol=1e-8, atol=1e-11)
+    assert compared > 40

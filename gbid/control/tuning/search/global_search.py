@@ -167,7 +167,7 @@ def refine(problem: GainProblem, start: FloatArray, effort: Effort, progress: Pr
     note("local", best.score)
     if len(start) not in GRID and effort.hops:
         climber, rng = Climber(problem, gain_units(problem, best.x)), np.random.default_rng(effort.seed)
-        best, _ = hop_basins(climber, best, rng, effort.hops, 2 * len(climber.hop_sizes), note)
+        best = hop_basins(climber, best, rng, effort.hops, 2 * len(climber.hop_sizes), note).best
         best = climber.with_certificate(best)
         note("local", best.score)
     return SearchOutcome(best, tuple(history))

@@ -8,7 +8,6 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgebal, zgees
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
 from gbid.control.loop.norm import largest_singular_values
@@ -18,6 +17,7 @@ from gbid.control.tuning.search.kernels.compiled import (
     compiled_peaks,
     kernels,
 )
+from gbid.control.tuning.search.kernels.schur_form import SchurForm
 from gbid.control.tuning.search.loop_family import Derivatives, Loops
 from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
@@ -27,6 +27,8 @@ _SUSPECT = 1e6
 """Largest entry of left eigenvectors up to which a response needs no check."""
 _WRONG = 1e-9
 """Relative error of a response from which on it is computed without eigenvectors."""
+_ROUNDING = 1e-12
+"""Relative rise of a peak that counts as rounding; its place then stays, as that of a flat one at zero frequency."""
 _STEPS = np.linspace(0.0, 1.0, 9)
 _NEAR = 0.9
 """Share of a gain that matters which a grid point near a peak of that gain reaches."""
@@ -114,11 +116,10 @@ class ModalResponse:
     def _form(self, loop: int) -> SchurResponse:
         """Return the Schur form of a loop with its inputs and outputs."""
         if loop not in self._forms:
-            # a Schur form is only as good as the units of the states
-            A, _, _, unit, _ = dgebal(self._loops.A[loop], scale=1, permute=0)
-            form, _, _, basis, *_ = zgees(lambda _: None, A)
-            B, C = self._loops.B[loop] / unit[:, None], self._loops.C[loop, self._rows] * unit
-            self._forms[loop] = form, basis.conj().T @ B, C @ basis
+            schur = SchurForm.of(self._loops.A[loop])
+            assert schur is not None, "a matrix with eigenvalues has a Schur form"
+            B, C = self._loops.B[loop] / schur.unit[:, None], self._loops.C[loop, self._rows] * schur.unit
+            self._forms[loop] = schur.form, schur.basis.conj().T @ B, C @ schur.basis
         return self._forms[loop]
 
     def _without_modes(self, loop: int, frequency: FloatArray) -> ComplexArray:
@@ -202,7 +203,7 @@ def find_peaks(
         at = np.clip(found.argmax(axis=1), 1, len(_STEPS) - 2)
         low, high = points[row, at - 1], points[row, at + 1]
         three = found[row[:, None], at[:, None] + np.array([-1, 0, 1])]
-        better = three[:, 1] > best
+        better = three[:, 1] > best * (1 + _ROUNDING)
         best, place = np.where(better, three[:, 1], best), np.where(better, points[row, at], place)
     step = (high - low) / 2
     vertex, _ = _vertex(low + step, step, three)
@@ -210,7 +211,7 @@ def find_peaks(
     points = np.maximum(vertex[:, None] + step[:, None] * np.array([-1.0, 0.0, 1.0]), 0.0)
     three = gain(respond_at(points, loop), points)
     vertex, top = _vertex(vertex, step, three)
-    better = top > best
+    better = top > best * (1 + _ROUNDING)
     return Peaks(loop, np.where(better, vertex, place), np.where(better, top, best))
 
 

@@ -15,6 +15,7 @@ import numpy.typing as npt
 from scipy.linalg import eig
 
 from gbid.arrays import BoolArray, ComplexArray, FloatArray
+from gbid.control.tuning.search.kernels.compiled import compiled_eigensystems, kernels
 from gbid.control.tuning.search.plane import FADE, brevity
 from gbid.poles import REAL
 
@@ -124,16 +125,21 @@ class Eigensystem:
         Eigenvalues.
     right : (m, n, n) array
         Right eigenvectors as columns.
+    known_left : (m, n, n) array, optional
+        Left eigenvectors, where they were computed with the right ones.
     """
 
     A: FloatArray
     values: ComplexArray
     right: ComplexArray
+    known_left: ComplexArray | None = None
 
     @classmethod
     def of(cls, A: FloatArray) -> Eigensystem:
         """Return the eigensystems of (m, n, n) matrices."""
         if np.abs(A).max(initial=0.0) < LARGEST:
+            if (library := kernels()) is not None and (found := compiled_eigensystems(library, A, _LONGEST)):
+                return cls(A, *found)
             try:
                 values, right = np.linalg.eig(A)
                 return cls(A, values.astype(complex, copy=False), right.astype(complex, copy=False))
@@ -149,6 +155,8 @@ class Eigensystem:
     @cached_property
     def left(self) -> ComplexArray:
         """Left eigenvectors as rows, with ``W V = I``."""
+        if self.known_left is not None:
+            return self.known_left
         usable = ~np.isnan(self.values[:, 0])
         if usable.all():
             return _left_of(self.A, self.right)

@@ -137,7 +137,7 @@ def _climb(
             if move is None:
                 continue
             step = replace(step, move=move)
-            gained = merit(problem.score(x + step.move, floor), penalty) - floor
+            gained = merit(problem.score(x + step.move, floor + max(improvement, 0.0)), penalty) - floor
             if gained > improvement:
                 best, improvement = step, gained
         if plain is not None and max([plain.gain, *(step.gain for step, _ in met)]) <= 1e-13:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,12 +20,21 @@ _ROUNDS = 3
 """Largest number of rounds of random moves with limits, as long as the best design has no certificate."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
-_NEAR = 1e-4
+_NEAR = 3e-4
 """Relative difference of values after random moves that count as the same optimum."""
 _OTHER = 1e-3
 """Relative difference of values from which on designs count as different optima."""
 _RETURNED = 2
 """Number of longest random moves to the same optimum after which it is taken for the best one."""
+
+
+@dataclass(frozen=True)
+class HoppedLine:
+    """Best design of a line of random moves, whether a longer one in vain ended at its value, and its optima."""
+
+    best: LocalOptimum
+    returned: bool
+    optima: tuple[Score, ...]
 
 
 def hop_freely(
@@ -33,8 +43,8 @@ def hop_freely(
     """Move the best different designs at random, then the best one that was found."""
     kinds = len(climber.hop_sizes)
     apart = _apart(finals, 0.1 * (climber.problem.upper - climber.problem.lower))[:_HOPPED]
-    lines = [hop_basins(climber, start, rng, most, kinds, note)[0] for start in apart]
-    return hop_basins(climber, best_of(lines), rng, most, 2 * kinds, note)[0]
+    lines = [hop_basins(climber, start, rng, most, kinds, note).best for start in apart]
+    return hop_basins(climber, best_of(lines), rng, most, 2 * kinds, note).best
 
 
 def hop_with_limits(
@@ -51,18 +61,19 @@ def hop_with_limits(
     best, kinds = best_of(finals), len(climber.hop_sizes)
     others = [one for one in finals if abs(one.score.value - best.score.value) > _OTHER * abs(best.score.value)]
     if not others:
-        best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)
-    for line in [best, max(others, key=rank)] if others else []:
-        known = None if line is best else best.score
-        found, returned = hop_basins(climber, line, rng, most, 2 * kinds, note, early=True, known=known)
-        best = found if better(found.score, best.score) or found.score == best.score else best
-        if found is best and returned:
+        best = hop_basins(climber, best, rng, most, 3 * kinds, note).best
+    known: tuple[Score, ...] = ()
+    for start in [best, max(others, key=rank)] if others else []:
+        line = hop_basins(climber, start, rng, most, 2 * kinds, note, early=True, known=known)
+        best = line.best if better(line.best.score, best.score) or line.best.score == best.score else best
+        if line.best is best and line.returned:
             break
+        known = line.optima
     for _ in range(_ROUNDS - 1):
         best = climber.with_certificate(best)
         if climber.problem.exhausted or climber.certified(best):
             break
-        best, _ = hop_basins(climber, best, rng, most, 3 * kinds, note)
+        best = hop_basins(climber, best, rng, most, 3 * kinds, note).best
     return best
 
 
@@ -74,16 +85,17 @@ def hop_basins(
     in_vain: int,
     note: Note,
     early: bool = False,
-    known: Score | None = None,
-) -> tuple[LocalOptimum, bool]:
+    known: Sequence[Score] = (),
+) -> HoppedLine:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
     With limits, fewer moves are enough when several of the longest ones end at the same value. An early end is when
     moves of every size were in vain, a long one ended at the same value, and the design is certified. Another end is
-    the `known` score of the best design of another line: two lines with one certified end are enough. The second
-    result tells whether one of the longer moves in vain ended at the same value.
+    an optimum of the line before, whose scores are `known`, the best one last: from the others that line went on to the
+    best one, and two lines with one certified end are enough.
     """
     vain = longest = long = 0
+    optima = [best.score]
     for i in range(most):
         if vain == in_vain or longest == _RETURNED or climber.problem.exhausted:
             break
@@ -98,11 +110,15 @@ def hop_basins(
         long = 0 if not vain else long + (near and size in climber.hop_sizes[-2:])
         best = again if improved else best
         note("basin hopping", best.score)
-        if improved and known is not None and _same(best.score, known) and climber.certified(best):
-            break
+        if improved:
+            optima.append(best.score)
+            if any(_same(best.score, one) for one in known) and (
+                not _same(best.score, known[-1]) or climber.certified(best)
+            ):
+                break
         if early and long and vain >= len(climber.hop_sizes) and climber.certified(best):
             break
-    return best, bool(long)
+    return HoppedLine(best, bool(long), tuple(optima))
 
 
 def _same(one: Score, other: Score) -> bool:

@@ -12,23 +12,35 @@ import numpy.typing as npt
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.compiling import CompilerMissingError, Library, load_library
+from gbid.control.tuning.search.kernels.clusters_source import CLUSTERS, EIGENSYSTEMS
 from gbid.control.tuning.search.kernels.peaks_source import PEAKS
+from gbid.control.tuning.search.kernels.schur_source import SCHUR
 from gbid.control.tuning.search.kernels.slopes_source import SLOPES
 from gbid.control.tuning.search.loop_family import Derivatives
 
 SchurResponse = tuple[ComplexArray, ComplexArray, ComplexArray]
 IntArray = npt.NDArray[np.intp]
+_COUNT, _PLACE, _REAL = ctypes.c_long, ctypes.c_void_p, ctypes.c_double
+_TYPES: dict[str, list[Any]] = {
+    "near_sums": [_COUNT, _PLACE, _COUNT, _PLACE, _PLACE],
+    "schur_form": [_COUNT, _PLACE, _PLACE],
+    "eigensystems": [_COUNT, _COUNT, _PLACE, _REAL, *[_PLACE] * 3],
+    "cluster": [*[_COUNT] * 3, *[_PLACE] * 2, *[_REAL] * 4, _PLACE],
+}
+"""Arguments of the kernels that are called so often that their conversion counts."""
 
 
 @cache
 def kernels() -> Library | None:
     """Return the library of the kernels; None without a C compiler. The same figures then come from numpy."""
     try:
-        library = load_library(PEAKS + SLOPES)
+        library = load_library(PEAKS + SLOPES + SCHUR + CLUSTERS + EIGENSYSTEMS)
     except CompilerMissingError:
         return None
-    for name in ("peaks", "peak_slopes", "eigenvalue_slopes"):
+    for name in ("peaks", "peak_slopes", "eigenvalue_slopes", *_TYPES):
         getattr(library, name).restype = ctypes.c_long
+    for name, types in _TYPES.items():
+        getattr(library, name).argtypes = types
     return library
 
 
@@ -131,6 +143,94 @@ def compiled_eigenvalue_slopes(
     given = map(_address, (loop, A, dA, values, right, left, slope))
     _check(library.eigenvalue_slopes(_long(k), _long(n), _long(d), *given))
     return values, slope
+
+
+def compiled_near_sums(library: Library, A: FloatArray, places: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return the eigenvalues (n,) of a matrix, and means and power sums of those nearest to some places.
+
+    Parameters
+    ----------
+    library : Library
+        The kernels.
+    A : (n, n) array
+        The matrix.
+    places : (c, 4) array
+        Real and imaginary part of each place, unit of distances, and number k of eigenvalues.
+
+    Returns
+    -------
+    (n,) array
+        Eigenvalues, NaN where they are not found.
+    (K,) array
+        For each place the mean and the k - 1 power sums, see `power_sums`.
+    """
+    n, A, places = len(A), _flat(A), _flat(places)
+    found = np.full(n + int(places[:, 3].sum()), np.nan, complex)
+    ended = library.near_sums(n, A.ctypes.data, len(places), places.ctypes.data, found.ctypes.data)
+    _check(ended)
+    if not ended:
+        found[:] = np.nan
+    return found[:n], found[n:]
+
+
+def compiled_eigensystems(
+    library: Library, A: FloatArray, longest: float
+) -> tuple[ComplexArray, ComplexArray, ComplexArray] | None:
+    """Return eigenvalues (m, n), right eigenvectors as columns and left ones as rows; None when some are not found.
+
+    Those of a defective matrix are no longer than `longest`, with right ones of length one.
+    """
+    m, n, A = len(A), A.shape[-1], _flat(A)
+    values, right, left = np.empty((m, n), complex), np.empty((m, n, n), complex), np.empty((m, n, n), complex)
+    addresses = values.ctypes.data, right.ctypes.data, left.ctypes.data
+    ended = library.eigensystems(m, n, A.ctypes.data, longest, *addresses)
+    _check(ended)
+    return (values, right, left) if ended else None
+
+
+def compiled_schur_form(library: Library, A: FloatArray) -> ComplexArray | None:
+    """Return the complex Schur form of a balanced matrix as `SchurForm` has it; None when it is not found."""
+    n, A = len(A), _flat(A)
+    found = np.empty(2 * n * n + (n + 1) // 2 + n, complex)
+    ended = library.schur_form(n, A.ctypes.data, found.ctypes.data)
+    _check(ended)
+    return found if ended else None
+
+
+def compiled_cluster(
+    library: Library, form: ComplexArray, dA: FloatArray, size: int, place: complex, rate: float, farthest: float
+) -> tuple[ComplexArray, ...] | None:
+    """Return eigenvalues, mean, power sums and the gradients of both for the cluster nearest to a place, see `Cluster`.
+
+    Parameters
+    ----------
+    library : Library
+        The kernels.
+    form : complex array
+        Schur form by `compiled_schur_form`.
+    dA : (d, n, n) array
+        Derivatives of the matrix.
+    size : int
+        Number k of eigenvalues, at most n.
+    place : complex
+        Place in the complex plane.
+    rate : float
+        Unit of distances.
+    farthest : float
+        Largest cotangent of the angle between the subspace and the others.
+
+    Returns
+    -------
+    Arrays (k,), (1,), (k - 1,), (d,) and (k - 1, d); None when the subspace is not determined.
+    """
+    (d, n, _), dA = dA.shape, _flat(dA)
+    found = np.empty(2 * size + size * d, complex)
+    given = form.ctypes.data, dA.ctypes.data, place.real, place.imag, rate, farthest
+    ended = library.cluster(n, d, size, *given, found.ctypes.data)
+    _check(ended)
+    ends = size, size + 1, 2 * size, 2 * size + d
+    values, mean, powers, mean_slope, powers_slope = np.split(found, ends)
+    return (values, mean, powers, mean_slope, powers_slope.reshape(size - 1, d)) if ended else None
 
 
 def _flat(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

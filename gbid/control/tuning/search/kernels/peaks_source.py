@@ -170,7 +170,7 @@ long peaks(long m, long n, const num *pole, const num *residue, const double *D,
                 at = at < 1 ? 1 : at > N - 2 ? N - 2 : at;
                 low = points[at - 1], high = points[at + 1];
                 memcpy(three, there + at - 1, sizeof three);
-                if (three[1] > best) best = three[1], where = points[at];
+                if (three[1] > best * (1 + 1e-12)) best = three[1], where = points[at];
             }
             double step = (high - low) / 2;
             vertex(low + step, step, three, &middle, &top);
@@ -180,8 +180,9 @@ long peaks(long m, long n, const num *pole, const num *residue, const double *D,
             vertex(middle, step, three, &middle, &top);
             if (found < most) {
                 loop[found] = l;
-                place[found] = top > best ? middle : where;
-                height[found++] = top > best ? top : best;
+                int better = top > best * (1 + 1e-12);
+                place[found] = better ? middle : where;
+                height[found++] = better ? top : best;
             }
         }
     }

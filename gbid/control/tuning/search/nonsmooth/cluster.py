@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg.lapack import dgebal, zgees, ztrsen, ztrsyl
+from scipy.linalg.lapack import ztrsen, ztrsyl
 
 from gbid.arrays import ComplexArray, FloatArray
-from gbid.control.tuning.search.spectrum import LARGEST
+from gbid.control.tuning.search.kernels.compiled import compiled_cluster, compiled_near_sums, kernels
+from gbid.control.tuning.search.kernels.schur_form import SchurForm
+from gbid.control.tuning.search.spectrum import LARGEST, eigenvalues
 
 _FARTHEST = 1e8
 """Angle between a subspace and the others, as a cotangent, from which on it is not determined."""
@@ -65,16 +67,8 @@ class InvariantSubspaces:
 
     def __init__(self, A: FloatArray, dA: FloatArray) -> None:
         self.dA = dA
-        self.usable = bool(np.isfinite(A).all() and np.isfinite(dA).all() and np.abs(A).max() < LARGEST)
-        if self.usable:
-            balanced, _, _, self._units, _ = dgebal(A, scale=1)
-            self._form, _, _, self._basis, _, failed = zgees(lambda _: None, balanced)
-            self.usable = failed == 0
-
-    @property
-    def values(self) -> ComplexArray:
-        """Eigenvalues of the matrix (n,); NaN where it is not usable."""
-        return np.diag(self._form) if self.usable else np.full(self.dA.shape[-1], np.nan, complex)
+        usable = np.isfinite(dA).all() and np.abs(A).max() < LARGEST  # which NaN is not, either
+        self._schur = SchurForm.of(A) if usable else None
 
     def cluster(self, centre: complex, size: int, rate: float) -> Cluster | None:
         """Return the cluster of the eigenvalues nearest to a place in the complex plane.
@@ -96,9 +90,15 @@ class InvariantSubspaces:
         -------
         Cluster, or None when the subspace is not determined up to rounding.
         """
-        if not self.usable or size > len(self._form):
+        if self._schur is None or size > self._schur.n:
             return None
-        form, basis, n = self._form, self._basis, len(self._form)
+        if (library := kernels()) is not None:
+            found = compiled_cluster(library, self._schur.packed, self.dA, size, centre, rate, _FARTHEST)
+            if found is None:
+                return None
+            values, mean, powers, mean_slope, powers_slope = found
+            return Cluster(size, values, complex(mean[0]), mean_slope, powers, powers_slope)
+        form, basis, n = self._schur.form, self._schur.basis, self._schur.n
         left = basis.conj().T
         if size < n:
             distance = np.abs(np.diag(form) - centre)
@@ -115,8 +115,28 @@ class InvariantSubspaces:
                 return None
             left = basis.conj().T
             left = left[:size] + (X / scale) @ left[size:]
-        right = self._units[:, None] * basis[:, :size]
-        return _cluster(form[:size, :size], left / self._units, right, self.dA, rate)
+        right = self._schur.unit[:, None] * basis[:, :size]
+        return _cluster(form[:size, :size], left / self._schur.unit, right, self.dA, rate)
+
+
+def near_sums(A: FloatArray, places: FloatArray) -> tuple[ComplexArray, list[tuple[complex, ComplexArray]]]:
+    """Return the eigenvalues of a matrix, and mean and power sums of those nearest to each of some places.
+
+    Parameters
+    ----------
+    A : (n, n) array
+        Matrix of a loop.
+    places : (c, 4) array
+        Real and imaginary part of each place, unit of distances [rad/s], and number of eigenvalues.
+    """
+    library, sizes = kernels(), places[:, 3].astype(int)
+    if library is not None:
+        values, sums = compiled_near_sums(library, A, places)
+        parts = np.split(sums, np.cumsum(sizes)[:-1])
+        return values, [(complex(part[0]), part[1:]) for part in parts]
+    values = eigenvalues(A[None])[0]
+    orders = [np.argsort(np.abs(values - complex(x, y)), kind="stable") for x, y in places[:, :2]]
+    return values, [power_sums(values[order[:k]], row[2]) for order, k, row in zip(orders, sizes, places, strict=True)]
 
 
 def power_sums(values: ComplexArray, rate: float) -> tuple[complex, ComplexArray]:

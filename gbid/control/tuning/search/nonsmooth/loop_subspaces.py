@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import FloatArray
 from gbid.control.tuning.search.loop_family import Derivatives, LoopFamily
 from gbid.control.tuning.search.measure import LoopState
 from gbid.control.tuning.search.nonsmooth.cluster import Cluster, InvariantSubspaces
@@ -37,10 +37,6 @@ class LoopSubspaces:
     def cluster(self, family: int, loop: int, place: complex, size: int) -> Cluster | None:
         """Return the eigenvalues of a loop nearest to a place in the complex plane; None when they are not separate."""
         return self._of(family, loop).cluster(place, size, max(abs(place), self.least_rate))
-
-    def values(self, family: int, loop: int) -> ComplexArray:
-        """Return the eigenvalues of a loop (n,)."""
-        return self._of(family, loop).values
 
     def _of(self, family: int, loop: int) -> InvariantSubspaces:
         if family not in self._loops:

@@ -8,11 +8,9 @@ import numpy as np
 
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.tuning.search.nonsmooth.active import ActiveFunction, ActiveFunctions
-from gbid.control.tuning.search.nonsmooth.cluster import Cluster, power_sums
-from gbid.control.tuning.search.nonsmooth.loop_subspaces import LoopSubspaces
+from gbid.control.tuning.search.nonsmooth.cluster import Cluster, near_sums
 from gbid.control.tuning.search.plane import true_rates
 from gbid.control.tuning.search.problem import GainProblem
-from gbid.control.tuning.search.spectrum import eigenvalues
 
 _NEAR = 0.5
 """Largest distance of a member from the centre, as a share of the centre's magnitude."""
@@ -30,6 +28,8 @@ _MET = 1e-14
 """Largest power sum of eigenvalues that have met."""
 _PAIR_MET = 1e-11
 """Largest power sum of two eigenvalues that have met; it is the square of their distance."""
+_ROUNDED = 1e-12
+"""Power sum from which on corrections that no longer shrink it end: the rest is rounding."""
 _ALONE, _TOGETHER = 4, 3
 """Number of clusters that are tried one by one, and largest number of clusters that meet in one step."""
 
@@ -157,38 +157,37 @@ def back_to_meeting(
     corrections (Broyden's method), as long as these shrink.
     """
     width = problem.upper - problem.lower
-    places = [mean.place for mean in means]
     met = _MET if max(mean.size for mean in means) > 2 else _PAIR_MET
-    smallest, inverse, last = np.inf, None, (np.zeros(0), np.zeros(0))
-    for _ in range(_CORRECTIONS):
+    spectra, sums = _sums(problem, x + move, means, [mean.place for mean in means])
+    if _reached(problem, spectra, means, sums) < least:
+        return None
+    smallest, inverse, last, nearest = np.inf, None, (np.zeros(0), np.zeros(0)), move
+    for step in range(_CORRECTIONS):
+        if step and inverse is not None:
+            sums = _sums(problem, x + move, means, [place for place, _ in sums])[1]
         fresh = inverse is None
         if inverse is None:
             subspaces = problem.subspaces(x + move)
             clusters = [
                 subspaces.cluster(mean.family, mean.loop, place, mean.size)
-                for mean, place in zip(means, places, strict=True)
+                for mean, (place, _) in zip(means, sums, strict=True)
             ]
             found = [cluster for cluster in clusters if cluster is not None]
             if len(found) < len(clusters):
                 return move
-            if smallest == np.inf and _reached(problem, subspaces, means, found) < least:
-                return None
             sums = [(cluster.mean, cluster.powers) for cluster in found]
             slopes = np.concatenate([cluster.powers_slope for cluster in found]) * width
             inverse = _pseudo_inverse(np.vstack([slopes.real, slopes.imag]))
-        else:
-            sums = _sums(problem, x + move, means, places)
         values = np.concatenate([powers for _, powers in sums])
         size = float(np.abs(values).max())
         if not size > met:
-            break
+            return move
         if size > 0.5 * smallest:
-            if fresh:
-                break
+            if fresh or smallest < _ROUNDED:
+                return move if size < smallest else nearest
             inverse = None
             continue
-        places = [mean for mean, _ in sums]
-        smallest = size
+        smallest, nearest = size, move
         reached = np.concatenate([values.real, values.imag])
         if not fresh:
             change, taken = reached - last[0], last[1] @ inverse
@@ -202,20 +201,23 @@ def back_to_meeting(
 
 
 def _reached(
-    problem: GainProblem, subspaces: LoopSubspaces, means: tuple[ActiveFunction, ...], clusters: list[Cluster]
+    problem: GainProblem,
+    spectra: dict[tuple[int, int], ComplexArray],
+    means: tuple[ActiveFunction, ...],
+    sums: list[tuple[complex, ComplexArray]],
 ) -> float:
     """Return the smallest objective of the loops of some clusters, with the mean of each for its eigenvalues."""
     lowest = np.inf
-    for f, loop in {(mean.family, mean.loop) for mean in means}:
-        own = [one for mean, one in zip(means, clusters, strict=True) if (mean.family, mean.loop) == (f, loop)]
-        values = subspaces.values(f, loop)
-        apart = np.ones(len(values), bool)
-        for one in own:
-            for centre in (one.mean, one.mean.conjugate()):
-                apart &= np.abs(values - centre) > one.radius
-        T = problem.families[f].sample_time
-        rates = true_rates(np.append(values[apart], [one.mean for one in own]), T)
-        lowest = min(lowest, float(problem.aim(rates, T).min()))
+    for loop, values in spectra.items():
+        apart, centres = np.ones(len(values), bool), []
+        for mean, (centre, _) in zip(means, sums, strict=True):
+            if (mean.family, mean.loop) == loop:
+                centres.append(centre)
+                distances = np.abs(values - centre)
+                radius = np.sort(distances)[mean.size - 1] * 1.01 + 1e-6 * abs(centre)
+                apart &= (distances > radius) & (np.abs(values - centre.conjugate()) > radius)
+        T = problem.families[loop[0]].sample_time
+        lowest = min(lowest, float(problem.aim(true_rates(np.append(values[apart], centres), T), T).min()))
     return lowest
 
 
@@ -227,13 +229,15 @@ def _pseudo_inverse(rows: FloatArray) -> FloatArray:
 
 def _sums(
     problem: GainProblem, x: FloatArray, means: tuple[ActiveFunction, ...], places: list[complex]
-) -> list[tuple[complex, ComplexArray]]:
-    """Return means and power sums of the clusters at a design, from the eigenvalues alone."""
-    loops = {mean.family: problem.families[mean.family].states(x) for mean in means}
-    spectra = {(f, i): eigenvalues(loops[f][i : i + 1])[0] for f, i in {(one.family, one.loop) for one in means}}
-    found = []
-    for mean, place in zip(means, places, strict=True):
-        values = spectra[mean.family, mean.loop]
-        members = values[np.argsort(np.abs(values - place), kind="stable")[: mean.size]]
-        found.append(power_sums(members, max(abs(place), 0.01 * problem.scale)))
-    return found
+) -> tuple[dict[tuple[int, int], ComplexArray], list[tuple[complex, ComplexArray]]]:
+    """Return the eigenvalues of the loops of some clusters at a design, and means and power sums of the clusters."""
+    states = {mean.family: problem.families[mean.family].states(x) for mean in means}
+    least, spectra = 0.01 * problem.scale, {}
+    found: list[tuple[complex, ComplexArray]] = [(0j, np.zeros(0, complex))] * len(means)
+    for f, loop in {(mean.family, mean.loop) for mean in means}:
+        own = [i for i, mean in enumerate(means) if (mean.family, mean.loop) == (f, loop)]
+        rows = [(places[i].real, places[i].imag, max(abs(places[i]), least), means[i].size) for i in own]
+        spectra[f, loop], sums = near_sums(states[f][loop], np.array(rows))
+        for i, one in zip(own, sums, strict=True):
+            found[i] = one
+    return spectra, found

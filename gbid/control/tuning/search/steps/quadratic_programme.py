@@ -16,6 +16,8 @@ from gbid.arrays import FloatArray
 _INPUTS = ("h", "g", "a", "lba", "uba", "lbx", "ubx")
 _PROXIMAL = {"eps_prox": 1e-4, "eta_prox": 1e-8}
 """Weight and tolerance of proximal iterations: without them rows are broken by percents where H is nearly zero."""
+_INFEASIBLE = -1
+"""DAQP's status of a programme without a solution."""
 
 
 class QuadraticProgramme:
@@ -25,6 +27,11 @@ class QuadraticProgramme:
     ----------
     n, m : int
         Number of variables and of rows of A.
+
+    Attributes
+    ----------
+    infeasible : bool
+        Whether the last programme had no solution within its rows and bounds.
     """
 
     def __init__(self, n: int, m: int) -> None:
@@ -32,7 +39,7 @@ class QuadraticProgramme:
         self._solver: Any = ca.conic("step", "daqp", shapes, {"error_on_fail": False, "daqp": _PROXIMAL})
         buffer: Any
         buffer, self._trigger = self._solver.buffer()  # its stub asks for a size besides, which a memoryview has
-        self._buffer = buffer
+        self._buffer, self.infeasible = buffer, False
         self._given = {name: self._array(self._solver.numel_in(name)) for name in map(str, self._solver.name_in())}
         self._found = {name: self._array(self._solver.numel_out(name)) for name in map(str, self._solver.name_out())}
         for i, array in enumerate(self._given.values()):
@@ -48,12 +55,15 @@ class QuadraticProgramme:
         """Return solution and multipliers of the rows for H, g, A, low, high, lower, upper; None when it fails."""
         for name, value in zip(_INPUTS, given, strict=True):
             self._given[name][: value.size] = value.ravel(order="F")  # CasADi stores column after column
+        self.infeasible = False
         try:
             self._trigger()
         except RuntimeError:  # the solver finds its numbers unfit
             return None
         x, rows = self._found["x"].copy(), self._found["lam_a"].copy()
-        return (x, rows) if self._buffer.stats()["success"] and np.isfinite(x).all() else None
+        ended = self._buffer.stats()
+        self.infeasible = ended["return_status"] == _INFEASIBLE
+        return (x, rows) if ended["success"] and np.isfinite(x).all() else None
 
 
 @lru_cache(maxsize=64)

@@ -72,14 +72,15 @@ def ridge_step(
         rows[n_aim:n_held, :d] = np.array([piece.slope for piece in limits]) * (-reach / size)
         rows[n_aim:n_held, d + 1] = 1.0
         low[n_aim:n_held] = np.array([piece.value for piece in limits]) / size
-    for i, (value, slope) in enumerate(equalities, n_held):
-        scaled = slope * reach
-        norm = max(float(np.linalg.norm(scaled)), 1e-300)
-        rows[i, :d] = scaled / norm
-        low[i] = high[i] = -value / norm
+    if equalities:
+        scaled = np.array([slope for _, slope in equalities]) * reach
+        norm = np.maximum(np.sqrt((scaled * scaled).sum(axis=1)), 1e-300)
+        rows[n_held:, :d] = scaled / norm[:, None]
+        low[n_held:] = high[n_held:] = -np.array([value for value, _ in equalities]) / norm
     curve = np.zeros((d + 2, d + 2))
-    curve[:d, :d] = H * np.outer(reach, reach) / size
-    if not (np.isfinite(rows).all() and np.isfinite(low).all() and np.isfinite(curve).all()):
+    curve[:d, :d] = H * (reach[:, None] * reach / size)
+    # a sum is finite when its terms are
+    if not np.isfinite(rows.sum() + low.sum() + curve.sum()):
         return None
     linear = np.zeros(d + 2)
     linear[d:] = -1.0, penalty
@@ -92,13 +93,12 @@ def ridge_step(
     # gradients of eigenvalues that nearly meet are very large; rows of equal length keep the programme well scaled
     length = np.maximum(np.abs(rows).max(axis=1), 1.0)
     rows, low, high = rows / length[:, None], low / length, high / length
-    programme, diagonal = quadratic_programme(d + 2, len(rows)), np.arange(d + 2)
+    programme, diagonal, added = quadratic_programme(d + 2, len(rows)), np.arange(d + 2), 0.0
     solution = None
     for ridge in _RIDGES:
-        ridged = curve.copy()
-        ridged[diagonal, diagonal] += ridge
-        solution = programme.solve(ridged, linear, rows, low, high, lower, upper)
-        if solution is not None:
+        curve[diagonal, diagonal] += ridge - added
+        solution, added = programme.solve(curve, linear, rows, low, high, lower, upper), ridge
+        if solution is not None or programme.infeasible:
             break
     if solution is None:
         return None
