@@ -113,7 +113,14 @@ def outcome(
     std = _standard_deviations(estimates, parameters, free, chosen, on_bound, found)
     mean_square = whole / problem.n_samples
     undetermined = ~on_bound & ~np.isfinite([std[q.name] for q in free])
-    status = verdict(solution.status, overflows=not finite, worse_than_constant=worse, undetermined=undetermined)
+    at_edge = bool(finite) and any(problem.parts_at_edge(theta))
+    status = verdict(
+        solution.status,
+        overflows=not finite,
+        worse_than_constant=worse,
+        at_edge=at_edge,
+        undetermined=undetermined,
+    )
     units = {q.name: q.unit for q in parameters}
     units |= options.disturbances.units(data.output_units)
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}

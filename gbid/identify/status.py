@@ -36,7 +36,8 @@ class FitStatus(StrEnum):
     PREDICTOR_OVERFLOWS = "not converged: the predictor overflows; start from a stable model"
     OVERFLOW = "not converged: the model or predictor overflows; start from a stable model"
     UNSTABLE_PREDICTOR = (
-        "not converged: the disturbance gain makes the predictor unstable; hold it (fixed) or use focus = 'simulation'"
+        "not converged: the disturbance gain makes the predictor unstable, or almost so; hold it (fixed) or use "
+        "focus = 'simulation'"
     )
     SOLVER_FAILED = "not converged: the solver stopped for a reason of its own"
 

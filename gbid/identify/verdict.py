@@ -31,7 +31,9 @@ def explains_nothing(problem: Shooting, products: FloatArray, outputs: list[Floa
     return not cost <= constant + 0.5 * float(np.log1p(_WORSE + _OF_A_MEAN / problem.n_samples))
 
 
-def verdict(status: FitStatus, *, overflows: bool, worse_than_constant: bool, undetermined: BoolArray) -> FitStatus:
+def verdict(
+    status: FitStatus, *, overflows: bool, worse_than_constant: bool, at_edge: bool, undetermined: BoolArray
+) -> FitStatus:
     """Return the status of a fit, which is a success only for an estimate.
 
     The solver has checked the first-order optimality already (`gbid.identify.nlp.optimality`).
@@ -44,6 +46,8 @@ def verdict(status: FitStatus, *, overflows: bool, worse_than_constant: bool, un
         Whether the errors or the parameters are not finite.
     worse_than_constant : bool
         Result of `explains_nothing`.
+    at_edge : bool
+        Whether the disturbance gain makes a predictor unstable or almost so, see `Shooting.parts_at_edge`.
     undetermined : (n_free,) boolean array
         Free parameters without a finite standard deviation that lie on no bound.
     """
@@ -53,4 +57,6 @@ def verdict(status: FitStatus, *, overflows: bool, worse_than_constant: bool, un
         return status
     if worse_than_constant:
         return FitStatus.WORSE_THAN_CONSTANT
+    if at_edge:
+        return FitStatus.UNSTABLE_PREDICTOR
     return FitStatus.NOT_DETERMINED if undetermined.any() else status

@@ -147,11 +147,12 @@ def test_a_solution_that_has_not_come_to_rest_is_solved_on(monkeypatch):
 
 
 def test_verdict_of_what_the_solver_calls_converged():
-    good = {"overflows": False, "worse_than_constant": False, "undetermined": np.zeros(2, bool)}
+    good = {"overflows": False, "worse_than_constant": False, "at_edge": False, "undetermined": np.zeros(2, bool)}
     assert verdict(FitStatus.CONVERGED, **good) is FitStatus.CONVERGED
     assert verdict(FitStatus.ITERATION_LIMIT, **good | {"worse_than_constant": True}) is FitStatus.ITERATION_LIMIT
     assert verdict(FitStatus.CONVERGED, **good | {"overflows": True}) is FitStatus.OVERFLOW
     assert verdict(FitStatus.CONVERGED, **good | {"worse_than_constant": True}) is FitStatus.WORSE_THAN_CONSTANT
+    assert verdict(FitStatus.CONVERGED, **good | {"at_edge": True}) is FitStatus.UNSTABLE_PREDICTOR
     dark = np.array([False, True])
     assert verdict(FitStatus.CONVERGED, **good | {"undetermined": dark}) is FitStatus.NOT_DETERMINED
 
