@@ -114,13 +114,8 @@ def outcome(
     mean_square = whole / problem.n_samples
     undetermined = ~on_bound & ~np.isfinite([std[q.name] for q in free])
     at_edge = bool(finite) and any(problem.parts_at_edge(theta))
-    status = verdict(
-        solution.status,
-        overflows=not finite,
-        worse_than_constant=worse,
-        at_edge=at_edge,
-        undetermined=undetermined,
-    )
+    against = {"overflows": not finite, "worse_than_constant": worse, "at_edge": at_edge}
+    status = verdict(solution.status, **against, undetermined=undetermined)
     units = {q.name: q.unit for q in parameters}
     units |= options.disturbances.units(data.output_units)
     own_name = {**dict(zip(estimates, estimates, strict=True)), **assembly.own_names}
@@ -173,7 +168,7 @@ def outcome(
             *_doubts(problem, theta, structure, assembly, found),
             *(may_cover_less(found.models, model.modes(), data.sample_time, n) if coloured else ()),
             *(feedback_notes(data.records, by_record) if coloured and finite and options.horizon == 1 else ()),
-            *_edge_note(problem, theta),
+            *_edge_note(at_edge),
             *_light_note(light),
         ),
         options=options,
@@ -308,8 +303,8 @@ def _doubts(
     return (*hardly_determined(theta[physical], white, names[physical]), *far_below_white(found, names))
 
 
-def _edge_note(problem: Shooting, theta: FloatArray) -> tuple[str, ...]:
-    if not any(problem.parts_at_edge(theta)):
+def _edge_note(at_edge: bool) -> tuple[str, ...]:
+    if not at_edge:
         return ()
     text = (
         "the disturbance gain makes the predictor almost unstable: the record is too short to estimate it; "
