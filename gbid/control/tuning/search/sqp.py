@@ -36,6 +36,8 @@ _MOVED = 1e-3
 """By how much the corrections of a move to a meeting may raise the objective."""
 _LATE = 30
 """Number of iterations after which a climb that has not reached its goal ends; those that do are there before."""
+_CHECKED = (15, 20, 25)
+"""Iterations after which a climb may be too far behind its goal."""
 _SETTLED = 1e-5
 """Rise below which a climb that has passed its goal ends; the best design of all is climbed to the end later."""
 
@@ -49,6 +51,7 @@ def optimise_locally(
     tolerance: float = 1e-9,
     rough: bool = False,
     goal: float = -np.inf,
+    behind: float = np.inf,
     repair: bool = True,
     on_step: Callable[[int, Score], None] | None = None,
 ) -> LocalOptimum:
@@ -81,6 +84,8 @@ def optimise_locally(
     goal : float
         Merit below which the optimum has no use. The optimisation ends when it will hardly be reached, or has been
         and rises no more.
+    behind : float
+        By what share of its goal a climb may be behind for each iteration that is left to reach it.
     repair : bool
         Whether small violations of limits that are left are made smaller with a larger penalty.
     on_step : callable, optional
@@ -91,9 +96,9 @@ def optimise_locally(
     LocalOptimum
     """
     x = np.clip(start, problem.lower, problem.upper)
-    found = _climb(problem, x, radius, max_iterations, tolerance, rough, _PENALTY, goal, on_step)
+    found = _climb(problem, x, radius, max_iterations, tolerance, rough, _PENALTY, goal, behind, on_step)
     if repair and 1e-8 < found.score.violation < 0.1 and merit(found.score, _PENALTY) > goal:
-        again = _climb(problem, found.x, 1e-3, 40, tolerance, rough, 1e3 * _PENALTY, goal, on_step)
+        again = _climb(problem, found.x, 1e-3, 40, tolerance, rough, 1e3 * _PENALTY, goal, behind, on_step)
         found = replace(again, iterations=found.iterations + again.iterations)
     return found
 
@@ -107,6 +112,7 @@ def _climb(
     rough: bool,
     penalty: float,
     goal: float,
+    behind: float,
     on_step: Callable[[int, Score], None] | None,
 ) -> LocalOptimum:
     width = problem.upper - problem.lower
@@ -169,6 +175,10 @@ def _climb(
             if reached > goal > -np.inf and rise < _SETTLED:
                 return LocalOptimum(x, functions.score, iteration, False)
             lately = reached
+        if behind < np.inf and iteration in _CHECKED:
+            demanded = goal - behind * (_LATE - iteration) * abs(goal)
+            if merit(functions.score, _PENALTY) < demanded:
+                return LocalOptimum(x, functions.score, iteration, False)
         if radius < tolerance or stalled > 12 or creeps:
             return LocalOptimum(x, functions.score, iteration, True)
     return LocalOptimum(x, functions.score, max_iterations, False)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -30,6 +30,8 @@ _NEXT = 1e-3
 """Distance from a bound, as a share of the bounds, of a gain that is next to it."""
 _SHORT = (1e-3, 5e-3)
 """Trust regions of the short climbs from a design without a certificate."""
+_BEHIND = 4e-3
+"""By what share of its goal a climb may be behind for each iteration that is left to reach it."""
 _RACED = 100
 """Largest number of iterations of a full optimisation in a race: one that creeps gets on faster by a random move."""
 
@@ -44,6 +46,7 @@ class Climber:
 
     problem: GainProblem
     unit: FloatArray
+    _certified: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def free(self) -> bool:
@@ -75,6 +78,7 @@ class Climber:
             max_iterations=_ROUGH,
             tolerance=1e-5,
             goal=goal,
+            behind=self._behind,
             rough=plain,
             repair=False,
         )
@@ -82,7 +86,7 @@ class Climber:
     def full(self, start: FloatArray, goal: float | None = None) -> LocalOptimum:
         """Return a local optimum; with a goal, as in a race of many starts, only one that soon reaches it."""
         if goal is not None:
-            return optimise_locally(self.problem, start, max_iterations=_RACED, goal=goal)
+            return optimise_locally(self.problem, start, max_iterations=_RACED, goal=goal, behind=self._behind)
         if not self.free:
             return optimise_locally(self.problem, start, max_iterations=300)
         if len(start) in GRID:
@@ -97,7 +101,8 @@ class Climber:
         step = size * rng.standard_normal(len(x))
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=rank(best))
+            goal = rank(best)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=goal, behind=_BEHIND)
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
 
@@ -120,7 +125,15 @@ class Climber:
 
     def certified(self, best: LocalOptimum) -> bool:
         """Return whether a design is optimal to first order."""
-        return certify(self.problem, best.x, certificate_units(self.unit, best.x))[0].holds
+        key = best.x.tobytes()
+        if key not in self._certified:  # to find no certificate takes a hundred times as long as to find one
+            self._certified[key] = certify(self.problem, best.x, certificate_units(self.unit, best.x))[0].holds
+        return self._certified[key]
+
+    @property
+    def _behind(self) -> float:
+        """How far climbs from starts may be behind; without an end for few gains, whose starts are cheap."""
+        return _BEHIND if len(self.unit) > _SMALL else np.inf
 
     @property
     def _left(self) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +20,10 @@ _ROUNDS = 3
 """Largest number of rounds of random moves with limits, as long as the best design has no certificate."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
-_NEAR = 3e-4
+_NEAR = 1e-4
 """Relative difference of values after random moves that count as the same optimum."""
+_KNOWN = 3e-4
+"""Relative difference of values of two lines of random moves that count as the same optimum."""
 _OTHER = 1e-3
 """Relative difference of values from which on designs count as different optima."""
 _RETURNED = 2
@@ -62,13 +64,13 @@ def hop_with_limits(
     others = [one for one in finals if abs(one.score.value - best.score.value) > _OTHER * abs(best.score.value)]
     if not others:
         best = hop_basins(climber, best, rng, most, 3 * kinds, note).best
-    known: tuple[Score, ...] = ()
+    first: HoppedLine | None = None
     for start in [best, max(others, key=rank)] if others else []:
-        line = hop_basins(climber, start, rng, most, 2 * kinds, note, early=True, known=known)
+        line = hop_basins(climber, start, rng, most, 2 * kinds, note, first)
         best = line.best if better(line.best.score, best.score) or line.best.score == best.score else best
         if line.best is best and line.returned:
             break
-        known = line.optima
+        first = line
     for _ in range(_ROUNDS - 1):
         best = climber.with_certificate(best)
         if climber.problem.exhausted or climber.certified(best):
@@ -84,15 +86,12 @@ def hop_basins(
     most: int,
     in_vain: int,
     note: Note,
-    early: bool = False,
-    known: Sequence[Score] = (),
+    before: HoppedLine | None = None,
 ) -> HoppedLine:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
-    With limits, fewer moves are enough when several of the longest ones end at the same value. An early end is when
-    moves of every size were in vain, a long one ended at the same value, and the design is certified. Another end is
-    an optimum of the line before, whose scores are `known`, the best one last: from the others that line went on to the
-    best one, and two lines with one certified end are enough.
+    With limits, fewer moves are enough when several of the longest ones end at the same value. After a line `before`,
+    an end is any optimum from which that one went on to a better one.
     """
     vain = longest = long = 0
     optima = [best.score]
@@ -112,17 +111,15 @@ def hop_basins(
         note("basin hopping", best.score)
         if improved:
             optima.append(best.score)
-            if any(_same(best.score, one) for one in known) and (
-                not _same(best.score, known[-1]) or climber.certified(best)
-            ):
+            if before is None or _same(best.score, before.best.score, _KNOWN):
+                continue
+            if any(_same(best.score, one, _KNOWN) for one in before.optima):
                 break
-        if early and long and vain >= len(climber.hop_sizes) and climber.certified(best):
-            break
     return HoppedLine(best, bool(long), tuple(optima))
 
 
-def _same(one: Score, other: Score) -> bool:
-    return one.violation <= FEASIBLE and abs(one.value - other.value) <= _NEAR * abs(other.value)
+def _same(one: Score, other: Score, share: float = _NEAR) -> bool:
+    return one.violation <= FEASIBLE and abs(one.value - other.value) <= share * abs(other.value)
 
 
 def _apart(found: list[LocalOptimum], distance: FloatArray) -> list[LocalOptimum]:

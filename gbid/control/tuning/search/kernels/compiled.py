@@ -145,7 +145,9 @@ def compiled_eigenvalue_slopes(
     return values, slope
 
 
-def compiled_near_sums(library: Library, A: FloatArray, places: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+def compiled_near_sums(
+    library: Library, A: FloatArray, places: FloatArray, most: int
+) -> tuple[ComplexArray, ComplexArray]:
     """Return the eigenvalues (n,) of a matrix, and means and power sums of those nearest to some places.
 
     Parameters
@@ -156,6 +158,8 @@ def compiled_near_sums(library: Library, A: FloatArray, places: FloatArray) -> t
         The matrix.
     places : (c, 4) array
         Real and imaginary part of each place, unit of distances, and number k of eigenvalues.
+    most : int
+        Sum K of these numbers.
 
     Returns
     -------
@@ -165,7 +169,7 @@ def compiled_near_sums(library: Library, A: FloatArray, places: FloatArray) -> t
         For each place the mean and the k - 1 power sums, see `power_sums`.
     """
     n, A, places = len(A), _flat(A), _flat(places)
-    found = np.full(n + int(places[:, 3].sum()), np.nan, complex)
+    found = np.empty(n + most, complex)
     ended = library.near_sums(n, A.ctypes.data, len(places), places.ctypes.data, found.ctypes.data)
     _check(ended)
     if not ended:
@@ -228,9 +232,11 @@ def compiled_cluster(
     given = form.ctypes.data, dA.ctypes.data, place.real, place.imag, rate, farthest
     ended = library.cluster(n, d, size, *given, found.ctypes.data)
     _check(ended)
-    ends = size, size + 1, 2 * size, 2 * size + d
-    values, mean, powers, mean_slope, powers_slope = np.split(found, ends)
-    return (values, mean, powers, mean_slope, powers_slope.reshape(size - 1, d)) if ended else None
+    if not ended:
+        return None
+    one, two = size + 1, 2 * size
+    slopes = found[two:].reshape(size, d)
+    return found[:size], found[size:one], found[one:two], slopes[0], slopes[1:]
 
 
 def _flat(array: npt.NDArray[Any]) -> npt.NDArray[Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 from scipy.linalg.lapack import ztrsen, ztrsyl
@@ -129,11 +130,11 @@ def near_sums(A: FloatArray, places: FloatArray) -> tuple[ComplexArray, list[tup
     places : (c, 4) array
         Real and imaginary part of each place, unit of distances [rad/s], and number of eigenvalues.
     """
-    library, sizes = kernels(), places[:, 3].astype(int)
-    if library is not None:
-        values, sums = compiled_near_sums(library, A, places)
-        parts = np.split(sums, np.cumsum(sizes)[:-1])
-        return values, [(complex(part[0]), part[1:]) for part in parts]
+    sizes = [int(k) for k in places[:, 3]]
+    if (library := kernels()) is not None:
+        values, sums = compiled_near_sums(library, A, places, sum(sizes))
+        ends = list(accumulate(sizes))
+        return values, [(complex(sums[end - k]), sums[end - k + 1 : end]) for k, end in zip(sizes, ends, strict=True)]
     values = eigenvalues(A[None])[0]
     orders = [np.argsort(np.abs(values - complex(x, y)), kind="stable") for x, y in places[:, :2]]
     return values, [power_sums(values[order[:k]], row[2]) for order, k, row in zip(orders, sizes, places, strict=True)]
