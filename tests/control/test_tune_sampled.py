@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -13,6 +18,12 @@ from gbid.errors import UsageError
 
 MODEL = gbid.load_model("theisen2016")
 ONE = [(6.0, 0.0)]
+BIQUAD = """
+import json, gbid
+model = gbid.load_model("theisen2016")
+found = gbid.tune(model, "biquad", operating_points=[(6.0, 0.0)], peak_sensitivity=2.0, sample_time=2e-4)
+print(json.dumps({"status": str(found.status), "value": found.value, "gains": dict(found.gains)}))
+"""
 
 
 def test_delayed_outputs_turn_the_phase_and_nothing_else() -> None:
@@ -55,11 +66,15 @@ def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> 
 
 @pytest.mark.slow
 def test_sampled_biquad_has_a_certificate_and_is_true_of_the_sampled_loop() -> None:
-    found = gbid.tune(MODEL, "biquad", operating_points=ONE, peak_sensitivity=2.0, sample_time=2e-4)
-    assert found.status == "optimal"
-    assert found.value > 0.825
-    loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller_model(found.controller, dict(found.gains)), 2e-4)
-    assert loop.damping == pytest.approx(found.value, rel=1e-2)
+    """With kernels as users compile them: by those of the tests (-O1) it ends 6e-4 lower without one (0075)."""
+    environment = {name: value for name, value in os.environ.items() if name != "GBID_CFLAGS"}
+    said = subprocess.run([sys.executable, "-c", BIQUAD], env=environment, check=True, capture_output=True, text=True)
+    found = json.loads(said.stdout)
+    assert found["status"] == "optimal"
+    assert found["value"] > 0.849
+    controller = controller_model(gbid.controller_structure("biquad"), found["gains"])
+    loop = sampled_loop(exact_plant(MODEL, *ONE[0]), controller, 2e-4)
+    assert loop.damping == pytest.approx(found["value"], rel=1e-2)
     assert loop.peak_output.value == pytest.approx(2.0, rel=1e-3)
 
 

@@ -56,15 +56,17 @@ THREE = (*ONE, (8, 8000), (9, 9000))
         (0.0, 30e-9, "simulation", FAST, 1.1, ONE),
         (0.01, 30e-9, "simulation", FAST, 1.05, ONE),
         (0.01, 300e-9, "simulation", FAST, 1.05, ONE),
-        (0.005, 300e-9, "prediction", FAST, 0.95, THREE),  # one campaign alone: 0.82 to 0.98
+        (0.005, 300e-9, "prediction", FAST, 1.1, THREE),
         (0.01, 650e-9, "simulation", SLOW, 1.1, ONE),
-        (0.01, 650e-9, "prediction", SLOW, 0.95, ONE),
+        (0.01, 650e-9, "prediction", SLOW, 1.1, ONE),
     ],
 )
 def test_campaign_recovers_the_truth(scatter, noise, focus, prbs, at_most, campaigns):
     """86 short recordings; the structure has no error of its own, so all that is off is chance.
 
-    `at_most`: error of the direct surfaces over that of the two-step ones, geometric mean over all.
+    `at_most`: error of the direct surfaces over that of the two-step ones, geometric mean over all. It was 0.8 and 0.9
+    in prediction focus while the two-step surfaces were worse: fits of single recordings kept gains that these do not
+    determine, and the error of the two-step surfaces of the last row was 1.4 times as large.
     """
     how = {"n": 1000, "scatter": scatter, "noise": noise, **prbs}
     ratios = [direct_over_two_step(focus, how, *campaign) for campaign in campaigns]

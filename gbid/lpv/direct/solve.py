@@ -69,7 +69,7 @@ def solve_for(
 
     A recording in which the free gain makes the predictor almost unstable does not determine this gain. It is fixed
     at zero there, and the problem is solved again. When the problem is not solved for another reason, all gains are
-    fixed at their start values. Notes report both.
+    fixed at their start values, and at zero where these make a predictor unstable. Notes report each.
     """
     ties = setting.ties(scatter)
     at_first = dict(zip(setting.names, (setting.X[0] @ shared).tolist(), strict=True))
@@ -118,7 +118,7 @@ def solve_for(
 
         fix(gains.held)
         edge = unstable(unknowns) & ~gains.held
-        held, given_up = gains.held | edge, False
+        held, given_up, at_rest = gains.held | edge, False, False
         fix(edge, 0.0)
         solution = run()
         while local and not (solution.status.success or given_up or held.all()):
@@ -128,6 +128,10 @@ def solve_for(
             fix(given_up & ~held)
             held = held | edge | given_up
             solution = run()
+        if given_up and solution.status is FitStatus.UNSTABLE_PREDICTOR:  # of the surfaces that moved meanwhile
+            at_rest = True
+            fix(held, 0.0)
+            solution = run()
         theta, starts = problem.unpack(solution.unknowns)
         own = [[q.name for q in problem.parts[part].predictor.free] for part in part_of]
         kept = [np.array([names.index(name) for name in setting.names]) for names in own]
@@ -135,7 +139,8 @@ def solve_for(
     notes = list(gains.notes)
     if near := [r.name for r, now, before in zip(data.records, held, gains.held, strict=True) if now and not before]:
         if given_up:
-            text = "free disturbance gains did not converge: all are fixed at their start values"
+            where = "zero" if at_rest else "their start values"
+            text = f"free disturbance gains did not converge: all are fixed at {where}"
         else:
             text = f"disturbance gain fixed at zero where it made the predictor unstable: {', '.join(near)}"
         notes.append(SurfaceNote.GAIN_HELD(text))
