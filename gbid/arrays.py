@@ -1,6 +1,9 @@
-"""Types of arrays, for annotations."""
+"""Types of arrays, for annotations, and the check of a number."""
 
 from __future__ import annotations
+
+from math import isfinite
+from typing import TypeGuard
 
 import numpy as np
 import numpy.typing as npt
@@ -9,3 +12,8 @@ FloatArray = npt.NDArray[np.float64]
 ComplexArray = npt.NDArray[np.complex128]
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
+
+
+def is_finite(value: object) -> TypeGuard[float]:
+    """Return whether a value is one finite number; text, None, flags and lists are not."""
+    return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and isfinite(value)

@@ -101,6 +101,7 @@ def slope(hz: np.ndarray) -> np.ndarray:
     return np.exp(np.interp(np.log(np.maximum(hz, 1e-9)), np.log([10.0, 100.0, 400.0]), np.log([0.9, 2.0, 1.2])))
 
 
+RECORDED = gbid.Recording({"p": np.zeros((100, 2))}, T)
 BREAKPOINTS = [(10.0, 0.9), (100.0, 2.0), (400.0, 1.2)]
 CASES = {
     "T_o": (PeakComplementary(1.5), lambda q: np.log(largest(q, "complementary") / 1.5)),
@@ -260,6 +261,12 @@ def test_disturbance_of_a_recording() -> None:
         (lambda: [MaxDamping(), MinPhaseMargin(200.0)], "between 0 and 180"),
         (lambda: [MaxDamping(), MinGainMargin(0.5)], "above 1"),
         (lambda: [MaxDamping(low_hz=50, high_hz=10)], "low < high"),
+        (lambda: MaxDamping(), "give a list"),
+        (lambda: [MaxDamping(), MinPhaseMargin("40")], "degrees = '40'"),
+        (lambda: [MaxDamping(), PiezoTravel(impact=20.0)], "give a HalfSine"),
+        (lambda: [MaxDamping(), RollOff(100.0, 1.0, slope_db=1e9)], "0 to 200 dB"),
+        (lambda: [RmsPosition(1e-6, DisturbanceSpectrum([0, 1], -np.ones((2, 1, 1))))], "negative eigenvalues"),
+        (lambda: [RmsPosition(1e-6, recorded_disturbance(RECORDED, segment_s=np.nan))], "segment_s = nan"),
     ],
 )
 def test_goals_that_make_no_sense_are_refused(goals: object, message: str) -> None:

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import minimize
 
 import gbid
-from gbid.control.tuning.maximise import _check_counts
+from gbid.control.tuning.maximise import check_counts
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.loop_family import families_of, loop_equations
 from gbid.control.tuning.search.nonsmooth.active import merit
@@ -145,7 +145,8 @@ def test_bounds_without_a_stabilising_gain_name_the_worst_mode() -> None:
         ((delayed_loop(1, 1), ["g", "h"], 0, 1), "one vector of 2 gains"),
         ((delayed_loop(1, 1), ["g"], 1, 0), "lower first"),
         ((delayed_loop(1, 1), ["g"], 0, np.inf), "finite"),
-        ((delayed_loop(1, 1), ["g"], [0, 0], 1), "bounds of shape"),
+        ((delayed_loop(1, 1), ["g"], [0, 0], 1), "bounds .*one for each of 1 gains"),
+        ((delayed_loop(1, 1), ["g", "g"], 0, 1), "a name of its own"),
         ((delayed_loop(1, 1), ["g"], 0, 1, "speed"), "objective"),
         ((["A"], ["g"], 0, 1), "not a casadi.Function"),
         ((lambda g: g, ["g"], 0, 1), "give a casadi.Function"),
@@ -303,7 +304,7 @@ def test_direct_calls_give_what_casadi_gives() -> None:
 
 
 def test_counts_begin_at_what_makes_sense() -> None:
-    _check_counts(0, 0, 1)
+    check_counts(0, 0, 1)
     for wrong in ((-1, 1, 1), (0, -1, 1), (0, 1, 0)):
         with pytest.raises(UsageError, match="give an integer of at least"):
-            _check_counts(*wrong)
+            check_counts(*wrong)

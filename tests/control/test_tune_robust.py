@@ -95,6 +95,10 @@ def test_a_covariance_may_be_singular_but_not_negative() -> None:
     np.testing.assert_allclose(root @ root.T, singular, atol=1e-12)
     with pytest.raises(UsageError, match="negative direction"):
         _root(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    with pytest.raises(UsageError, match="symmetric"):
+        Uncertainty(np.triu(np.ones((84, 84))))
+    with pytest.raises(UsageError, match="there are 10, from 0"):
+        Uncertainty(np.eye(84), chosen=(10,))
 
 
 def test_order_statistic_and_bound_are_known_ones() -> None:
@@ -113,6 +117,9 @@ def test_order_statistic_and_bound_are_known_ones() -> None:
         ({"uncertainty": Uncertainty(samples=np.zeros((3, 14)))}, "cannot be drawn anew"),
         ({"uncertainty": uncertainty(), "probability": 1.0}, "give 0.5 to 1"),
         ({"uncertainty": uncertainty(), "draws": 2}, "at least 10"),
+        ({"uncertainty": uncertainty(), "fresh": 0}, "fresh = 0"),
+        ({"uncertainty": uncertainty(), "seed": -1}, "seed = -1"),
+        ({"uncertainty": uncertainty(), "probability": "high"}, "probability = 'high'"),
     ],
 )
 def test_requests_that_make_no_sense_are_refused(options: dict[str, object], message: str) -> None:

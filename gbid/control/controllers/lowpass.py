@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from gbid.arrays import is_finite
 from gbid.errors import UsageError
 
 
@@ -35,8 +35,8 @@ class Lowpass:
         UsageError
             When one of them is wrong.
         """
-        if not (isfinite(self.corner_hz) and self.corner_hz > 0):
-            raise UsageError(f"{where}: lowpass_hz = {self.corner_hz}; give a positive number of Hz")
+        if not (is_finite(self.corner_hz) and self.corner_hz > 0):
+            raise UsageError(f"{where}: lowpass_hz = {self.corner_hz!r}; give a positive number of Hz")
         if not isinstance(self.order, int | np.integer) or self.order < 0:
             raise UsageError(f"{where}: order = {self.order}; it must be a whole number, at least 0")
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, isfinite
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
+from gbid.arrays import is_finite
 from gbid.control.controllers.lowpass import Lowpass
 from gbid.discretise import Hold
 from gbid.errors import UsageError
@@ -80,9 +81,10 @@ class PerAxis(ABC):
     axes: tuple[str, ...] = AXES
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "axes", tuple(self.axes))
-        if not self.axes or len(set(self.axes)) < len(self.axes):
-            raise UsageError(f"controller {self.name!r}: axes = {list(self.axes)}; give each its own name")
+        axes = tuple(self.axes) if isinstance(self.axes, Iterable) else ()
+        if not axes or not all(isinstance(axis, str) for axis in axes) or len(set(axes)) < len(axes):
+            raise UsageError(f"controller {self.name!r}: axes = {self.axes!r}; give each axis a name of its own")
+        object.__setattr__(self, "axes", axes)
         if self.axes != AXES:
             object.__setattr__(self, "inputs", tuple(gain_name("p", axis) for axis in self.axes))
             object.__setattr__(self, "outputs", tuple(gain_name("r", axis) for axis in self.axes))
@@ -124,23 +126,22 @@ class PerAxis(ABC):
 
     def _check_bounds(self, lower: float, upper: float) -> None:
         for name, value in (("lower", lower), ("upper", upper)):
-            if not isfinite(value):
-                raise UsageError(f"controller {self.name!r}: {name} = {value}; give a finite number")
+            if not is_finite(value):
+                raise UsageError(f"controller {self.name!r}: {name} = {value!r}; give a finite number")
         if not lower < upper:
             raise UsageError(f"controller {self.name!r}: lower = {lower} must be below upper = {upper}")
 
     def _check_positive(self, **values: float) -> None:
         for name, value in values.items():
-            if not 0 < value < inf:
-                raise UsageError(f"controller {self.name!r}: {name} = {value}; give a positive number")
+            if not (is_finite(value) and value > 0):
+                raise UsageError(f"controller {self.name!r}: {name} = {value!r}; give a positive number")
 
     def _check_ranges(self, *names: str, positive: bool = True) -> None:
         """Refuse ranges that are empty, or not positive; store them as pairs of numbers."""
         for name in names:
-            low, high = (float(bound) for bound in getattr(self, name))
-            if not (-inf < low < high < inf) or (positive and low <= 0):
+            given = getattr(self, name)
+            pair = tuple(given) if isinstance(given, Sequence | np.ndarray) else ()
+            if len(pair) != 2 or not all(map(is_finite, pair)) or not pair[0] < pair[1] or (positive and pair[0] <= 0):
                 kind = "positive " if positive else ""
-                raise UsageError(
-                    f"controller {self.name!r}: {name} = ({low:g}, {high:g}); give two {kind}numbers, lower first"
-                )
-            object.__setattr__(self, name, (low, high))
+                raise UsageError(f"controller {self.name!r}: {name} = {given!r}; give two {kind}numbers, lower first")
+            object.__setattr__(self, name, (float(pair[0]), float(pair[1])))

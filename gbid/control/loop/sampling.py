@@ -17,6 +17,10 @@ from gbid.structure import LinearModel
 Method = Literal["tustin", "zoh"]
 
 
+MOST_SAMPLES = 300
+"""Largest delay of a sampled loop, in samples: each of them is a state for every input."""
+
+
 def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 0.0) -> LinearModel:
     """Return the exact discretisation of a plant with held inputs, exact delays and computation time.
 
@@ -37,13 +41,19 @@ def sample_plant(plant: LinearModel, sample_time: float, computation_s: float = 
     Raises
     ------
     UsageError
-        When the plant is sampled already, when the sample time is not positive, or when the computation time is
-        negative.
+        When the plant is sampled already, when the sample time is not positive, when the computation time is
+        negative, or when computation and delays take more than `MOST_SAMPLES` samples.
     """
     if plant.dt is not None:
         raise UsageError(f"model {plant.name!r} is sampled already, at {plant.dt:g} s")
     if not (isfinite(sample_time) and sample_time > 0):
         raise UsageError(f"sampling of {plant.name!r}: sample_time = {sample_time} s; give a positive number")
+    late_s = computation_s + (0.0 if plant.delay is None else float(np.max(plant.delay)))
+    if late_s > MOST_SAMPLES * sample_time:
+        raise UsageError(
+            f"sampling of {plant.name!r}: computation and delays take {late_s:g} s, more than {MOST_SAMPLES} samples "
+            f"of sample_time = {sample_time:g} s; all are in seconds"
+        )
     if not (isfinite(computation_s) and computation_s >= 0):
         raise UsageError(f"sampling of {plant.name!r}: computation_s = {computation_s} s; it must not be negative")
     A, n_u = np.array(plant.A), plant.B.shape[1]

@@ -110,11 +110,13 @@ def maximise_damping(
     (1.0, 0.5)
     """
     functions = [A_of_gains] if isinstance(A_of_gains, ca.Function) else _listed(A_of_gains)
-    names = (gains,) if isinstance(gains, str) else tuple(gains)
+    names = (gains,) if isinstance(gains, str) else tuple(gains or ())
     if not functions or not names:
         raise UsageError("maximise_damping: give at least one function and one gain")
+    if len(set(names)) < len(names):
+        raise UsageError(f"maximise_damping: gains {', '.join(map(str, names))}; give each a name of its own")
     low, high = as_bounds(lower, upper, names)
-    _check_counts(seed=seed, starts=starts, evaluations=evaluations)
+    check_counts(seed=seed, starts=starts, evaluations=evaluations)
     families = families_of(functions, len(names))
     neutral = np.clip(np.zeros(len(names)), low, high)
     limits = Limits(objective, slowest_pole, peak_sensitivity, peak_control, static_amplification)
@@ -130,7 +132,14 @@ def maximise_damping(
     return summarise(problem, optimum, names, history, f"eigenvalues{norms} of the {count} closed-loop matrices")
 
 
-def _check_counts(seed: int, starts: int | None, evaluations: int | None) -> None:
+def check_counts(seed: int, starts: int | None, evaluations: int | None = None) -> None:
+    """Refuse a seed and numbers of starts or designs that are no whole numbers, or too small.
+
+    Raises
+    ------
+    UsageError
+        When one of them is.
+    """
     for name, value, least in (("seed", seed, 0), ("starts", starts, 0), ("evaluations", evaluations, 1)):
         wrong = isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least
         if wrong and (value is not None or name == "seed"):
@@ -259,9 +268,10 @@ def as_bounds(lower: npt.ArrayLike, upper: npt.ArrayLike, names: tuple[str, ...]
     """
     try:
         low, high = (np.broadcast_to(np.asarray(b, float), len(names)).copy() for b in (lower, upper))
-    except ValueError:
-        sizes = f"{np.shape(lower)} and {np.shape(upper)}"
-        raise UsageError(f"bounds of shape {sizes} for {len(names)} gains ({', '.join(names)})") from None
+    except (TypeError, ValueError):
+        raise UsageError(
+            f"bounds {lower!r} and {upper!r}; give numbers, one for each of {len(names)} gains ({', '.join(names)})"
+        ) from None
     for name, a, b in zip(names, low, high, strict=True):
         if not (np.isfinite(a) and np.isfinite(b) and a < b):
             raise UsageError(f"gain {name!r}: bounds [{a:g}, {b:g}]; give two finite numbers, lower first")
@@ -276,7 +286,10 @@ def as_start(start: npt.ArrayLike, names: tuple[str, ...]) -> FloatArray:
     UsageError
         When it does not have one finite number per gain.
     """
-    x = np.asarray(start, float)
+    try:
+        x = np.asarray(start, float)
+    except (TypeError, ValueError):
+        x = np.array([])
     if x.shape != (len(names),) or not np.isfinite(x).all():
-        raise UsageError(f"start has shape {x.shape}; give {len(names)} finite numbers ({', '.join(names)})")
+        raise UsageError(f"start = {start!r}; give {len(names)} finite numbers ({', '.join(names)})")
     return x

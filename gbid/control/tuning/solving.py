@@ -81,7 +81,7 @@ def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
     for kind, limit in (("sensitivity", problem.limits.peak_sensitivity), ("control", problem.limits.peak_control)):
         if limit is None or not problem.stable(x):
             continue
-        least = limit * float(np.exp(max(known, 0.0) + 1e-7))
+        least = limit * float(np.exp(min(max(known, 0.0), 300.0) + 1e-7))
         for f, family in enumerate(problem.families):
             for i, norm in enumerate(exact_norms(family, x, kind, least)):
                 if norm.value > least and np.isfinite(norm.frequency):

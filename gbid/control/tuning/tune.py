@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from gbid.control.tuning.design_notes import goal_figures, notes_of
 from gbid.control.tuning.gain_result import GainResult
 from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
 from gbid.control.tuning.goals.short_form import ShortForm
-from gbid.control.tuning.maximise import as_bounds, as_start, summarise
+from gbid.control.tuning.maximise import as_bounds, as_start, check_counts, summarise
 from gbid.control.tuning.over_points import solve_over_points
 from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
 from gbid.control.tuning.plants.plants_of import DesignPlants, PlantLike, Point, plants_of
@@ -154,6 +154,7 @@ def tune(
         objective, peak_sensitivity, peak_control, static_amplification, slowest_pole, impact, piezo_travel_m
     )
     loop_delay(sample_time, computation_s)  # raises the errors of the two
+    check_counts(seed, starts)
     sampling = None
     if sample_time is not None:
         sampling = Sampling(sample_time, sample_time if computation_s is None else computation_s, method)
@@ -161,12 +162,8 @@ def tune(
     limits = limits_of(short.goals(goals, min(design.slowest)), DesignContext(design.plant))
     low, high, start_gains = _gain_bounds(structure, bounds)
     names = tuple(parameter.name for parameter in structure.parameters)
-    unknown = [name for name in start or {} if name not in names]
-    if unknown:
-        raise UsageError(f"start: no gain {', '.join(unknown)}; there are {', '.join(names)}")
-    first = (
-        [] if start is None else [as_start([start.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)]
-    )
+    given = _by_gain("start", start, names)
+    first = [as_start([given.get(n, v) for n, v in zip(names, start_gains, strict=True)], names)] if given else []
     effort = Effort(starts, seed)
     if isinstance(structure, Scheduled) and structure.terms != ("1",):
         first.append(_constant_gains(design, structure, limits, effort))
@@ -226,14 +223,24 @@ def _gain_bounds(
     structure: Structure | Scheduled, bounds: Mapping[str, tuple[float, float]] | None
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     names = tuple(parameter.name for parameter in structure.parameters)
-    given = dict(bounds or {})
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise UsageError(f"bounds: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+    given = _by_gain("bounds", bounds, names)
+    for name, pair in given.items():
+        if not isinstance(pair, Sequence) or isinstance(pair, str) or len(pair) != 2:
+            raise UsageError(f"bounds of gain {name!r}: {pair!r}; give (lower, upper)")
     pairs = [given.get(p.name, (p.lower, p.upper)) for p in structure.parameters]
     low, high = as_bounds([pair[0] for pair in pairs], [pair[1] for pair in pairs], names)
     start = np.clip([p.start if p.start is not None else 0.0 for p in structure.parameters], low, high)
     return low, high, start
+
+
+def _by_gain(what: str, given: Mapping[str, Any] | None, names: tuple[str, ...]) -> dict[str, Any]:
+    """Return what is given for gains by name."""
+    if given is not None and not isinstance(given, Mapping):
+        raise UsageError(f"{what} = {given!r}; give a dict by the names of the gains: {', '.join(names)}")
+    unknown = [str(name) for name in given or {} if name not in names]
+    if unknown:
+        raise UsageError(f"{what}: no gain {', '.join(unknown)}; there are {', '.join(names)}")
+    return dict(given or {})
 
 
 def _constant_gains(design: DesignPlants, structure: Scheduled, limits: Limits, effort: Effort) -> FloatArray:

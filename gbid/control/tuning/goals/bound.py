@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from math import isfinite
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, is_finite
 from gbid.errors import UsageError
 from gbid.structure import LinearModel
 
@@ -36,10 +35,10 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Callable[[FloatArray], 
             raise UsageError(f"{what}: model {bound.name!r} as a bound has {bound.D.shape} channels; give one by one")
         model = bound
         return lambda hz: np.abs(model.frequency_response(np.ravel(hz))[:, 0, 0]).reshape(np.shape(hz))
-    if isinstance(bound, int | float | np.floating):
+    if isinstance(bound, int | float | np.integer | np.floating):
         value = float(bound)
-        if not (isfinite(value) and value > 0):
-            raise UsageError(f"{what} = {bound}; give a positive number")
+        if not (is_finite(bound) and value > 0):
+            raise UsageError(f"{what} = {bound!r}; give a positive number")
         return lambda hz: np.full(np.shape(hz), value)
     try:
         points = np.array([(float(hz), float(value)) for hz, value in bound])

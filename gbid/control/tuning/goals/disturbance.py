@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import ComplexArray, FloatArray, is_finite
 from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.recording import Recording
@@ -34,11 +34,18 @@ class DisturbanceSpectrum(Brief):
     name: str = "disturbance"
 
     def __post_init__(self) -> None:
-        f, S = np.asarray(self.frequency_hz, float), np.asarray(self.density, complex)
+        try:
+            f, S = np.atleast_1d(np.asarray(self.frequency_hz, float)), np.asarray(self.density, complex)
+        except (TypeError, ValueError):
+            raise UsageError("disturbance: frequency_hz and density must be numbers") from None
         if S.ndim != 3 or S.shape[0] != len(f) or S.shape[1] != S.shape[2] or len(f) < 2:
             raise UsageError(f"disturbance: density has shape {S.shape}; give (k, n, n) for {len(f)} frequencies")
         if not (np.isfinite(f).all() and np.isfinite(S).all() and (np.diff(f) > 0).all() and f[0] >= 0):
             raise UsageError("disturbance: frequencies must rise from 0 or more, and all numbers must be finite")
+        size = float(np.abs(S).max())
+        hermitian = np.abs(S - S.conj().transpose(0, 2, 1)).max() <= 1e-9 * size
+        if not hermitian or np.linalg.eigvalsh(S).min() < -1e-9 * size:
+            raise UsageError("disturbance: density must be Hermitian, without negative eigenvalues, at each frequency")
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "density", S)
 
@@ -77,9 +84,11 @@ def recorded_disturbance(
     UsageError
         When a recording has no such signal or is shorter than a segment, or when sample times differ.
     """
-    every = [recordings] if isinstance(recordings, Recording) else list(recordings)
-    if not every:
-        raise UsageError("recorded_disturbance: no recordings")
+    every = [recordings] if isinstance(recordings, Recording) else list(() if recordings is None else recordings)
+    if not every or not all(isinstance(one, Recording) for one in every):
+        raise UsageError("recorded_disturbance: give a gbid.Recording or a list of these")
+    if not (is_finite(segment_s) and segment_s > 0):
+        raise UsageError(f"recorded_disturbance: segment_s = {segment_s!r}; give a positive number of seconds")
     found = []
     for recording in every:
         if signal not in recording.signals:

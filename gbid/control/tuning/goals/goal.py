@@ -5,8 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf
 
+from gbid.arrays import is_finite
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.measure import Measure
 from gbid.errors import UsageError
@@ -59,8 +60,8 @@ class Wanted(Goal):
     weight: float = 1.0
 
     def __post_init__(self) -> None:
-        if not (isfinite(self.weight) and self.weight > 0):
-            raise UsageError(f"{type(self).__name__}: weight = {self.weight}; give a positive number")
+        if not (is_finite(self.weight) and self.weight > 0):
+            raise UsageError(f"{type(self).__name__}: weight = {self.weight!r}; give a positive number")
         if self.weight != 1.0 and not self.soft:
             raise UsageError(f"{type(self).__name__}: weight belongs to an objective; give soft=True as well")
 
@@ -91,8 +92,8 @@ def positive(goal: Goal, **values: float) -> None:
         When one of them is not.
     """
     for name, value in values.items():
-        if not (isfinite(value) and value > 0):
-            raise UsageError(f"{type(goal).__name__}: {name} = {value}; give a positive number")
+        if not (is_finite(value) and value > 0):
+            raise UsageError(f"{type(goal).__name__}: {name} = {value!r}; give a positive number")
 
 
 def band(goal: Goal, low_hz: float, high_hz: float) -> None:
@@ -103,8 +104,9 @@ def band(goal: Goal, low_hz: float, high_hz: float) -> None:
     UsageError
         When it is.
     """
-    if not 0 <= low_hz < high_hz <= inf:
-        raise UsageError(f"{type(goal).__name__}: low_hz = {low_hz:g}, high_hz = {high_hz:g}; give 0 <= low < high")
+    numbers = is_finite(low_hz) and (is_finite(high_hz) or high_hz == inf)
+    if not numbers or not 0 <= low_hz < high_hz:
+        raise UsageError(f"{type(goal).__name__}: low_hz = {low_hz!r}, high_hz = {high_hz!r}; give 0 <= low < high")
 
 
 def limits_of(goals: Sequence[Goal], context: DesignContext) -> Limits:

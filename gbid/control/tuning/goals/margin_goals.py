@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import isfinite, radians
+from math import radians
 
 import numpy as np
 
-from gbid.arrays import ComplexArray, FloatArray
+from gbid.arrays import ComplexArray, FloatArray, is_finite
 from gbid.control.tuning.goals.goal import DesignContext, Wanted
 from gbid.control.tuning.search.loop_family import LoopFamily, Loops
 from gbid.control.tuning.search.measure import ExtraLimit
@@ -37,8 +37,8 @@ class MinGainMargin(Wanted):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (isfinite(self.factor) and self.factor > 1):
-            raise UsageError(f"MinGainMargin: factor = {self.factor}; give a number above 1")
+        if not (is_finite(self.factor) and self.factor > 1):
+            raise UsageError(f"MinGainMargin: factor = {self.factor!r}; give a number above 1")
 
     def measure(self, context: DesignContext) -> ExtraLimit:
         """Return the measure of this goal."""
@@ -67,8 +67,8 @@ class MinPhaseMargin(Wanted):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.degrees < 180:
-            raise UsageError(f"MinPhaseMargin: degrees = {self.degrees}; give a number between 0 and 180")
+        if not (is_finite(self.degrees) and 0 < self.degrees < 180):
+            raise UsageError(f"MinPhaseMargin: degrees = {self.degrees!r}; give a number between 0 and 180")
 
     def measure(self, context: DesignContext) -> ExtraLimit:
         """Return the measure of this goal."""

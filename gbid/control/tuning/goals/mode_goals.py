@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, isfinite
+from math import inf
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray
+from gbid.arrays import BoolArray, FloatArray, is_finite
 from gbid.control.tuning.goals.goal import DesignContext, Goal, Wanted, band, positive
 from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.measure import LoopState, Measure, Pieces
@@ -145,8 +145,8 @@ class MinDamping(Wanted):
     def __post_init__(self) -> None:
         super().__post_init__()
         band(self, self.low_hz, self.high_hz)
-        if not -1 < self.limit < 1:
-            raise UsageError(f"MinDamping: limit = {self.limit}; give a damping factor below 1")
+        if not (is_finite(self.limit) and -1 < self.limit < 1):
+            raise UsageError(f"MinDamping: limit = {self.limit!r}; give a damping factor below 1")
 
     def measure(self, context: DesignContext) -> ModeMeasure:
         """Return the measure of this goal."""
@@ -174,8 +174,8 @@ class SlowestPole(Wanted):
     def __post_init__(self) -> None:
         super().__post_init__()
         band(self, self.low_hz, self.high_hz)
-        if not (isfinite(self.rate) and self.rate >= 0):
-            raise UsageError(f"SlowestPole: rate = {self.rate}; give a rate of at least 0 in 1/s")
+        if not (is_finite(self.rate) and self.rate >= 0):
+            raise UsageError(f"SlowestPole: rate = {self.rate!r}; give a rate of at least 0 in 1/s")
 
     def measure(self, context: DesignContext) -> ModeMeasure:
         """Return the measure of this goal."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf
 from typing import Any, ClassVar
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, is_finite
 from gbid.control.tuning.goals.bound import BoundLike, bound_over_frequency
 from gbid.control.tuning.goals.goal import DesignContext, Wanted, positive
 from gbid.control.tuning.goals.response_measure import LoopResponse, ResponseMeasure
@@ -46,7 +45,7 @@ class ResponseGoal(Wanted):
 
     def add_to(self, limits: Limits, context: DesignContext) -> Limits:
         """Return the limits with this goal; one hard limit for all frequencies is verified by an exact norm."""
-        if self.soft or not self.native or not isinstance(self.limit, int | float):
+        if self.soft or not self.native or not is_finite(self.limit):
             return super().add_to(limits, context)
         known = getattr(limits, self.native)
         changed: dict[str, Any] = {self.native: float(self.limit if known is None else min(known, self.limit))}
@@ -120,8 +119,8 @@ class RollOff(Wanted):
     def __post_init__(self) -> None:
         super().__post_init__()
         positive(self, from_hz=self.from_hz, level=self.level)
-        if not 0 <= self.slope_db < inf:
-            raise UsageError(f"RollOff: slope_db = {self.slope_db}; give 0 or more dB per decade")
+        if not (is_finite(self.slope_db) and 0 <= self.slope_db <= 200):
+            raise UsageError(f"RollOff: slope_db = {self.slope_db!r}; give 0 to 200 dB per decade")
 
     def measure(self, context: DesignContext) -> ResponseMeasure:
         """Return the measure of this goal."""
@@ -188,14 +187,14 @@ class MinDiskMargin(Wanted):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not 0 < self.alpha < 2:
-            raise UsageError(f"MinDiskMargin: alpha = {self.alpha}; give a number between 0 and 2")
+        if not (is_finite(self.alpha) and 0 < self.alpha < 2):
+            raise UsageError(f"MinDiskMargin: alpha = {self.alpha!r}; give a number between 0 and 2")
 
     def measure(self, context: DesignContext) -> ResponseMeasure:
         """Return the measure of this goal."""
         n = len(context.plant.C)
-        if self.channel is not None and not 0 <= self.channel < n:
-            raise UsageError(f"MinDiskMargin: channel = {self.channel}; there are {n}, from 0")
+        if self.channel is not None and self.channel not in range(n):
+            raise UsageError(f"MinDiskMargin: channel = {self.channel!r}; there are {n}, from 0")
         name = "disk margin" if self.channel is None else f"disk margin of {context.plant.output_names[self.channel]}"
         bound = bound_over_frequency(2 / self.alpha, "MinDiskMargin")
         return ResponseMeasure(name, LoopResponse.BALANCED, bound, True, self.channel, self.weight)

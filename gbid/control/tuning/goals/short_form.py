@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 
 from gbid.control.impact.half_sine import HalfSine
@@ -42,6 +42,8 @@ class ShortForm:
             When both forms are used, or when a number is not allowed.
         """
         if given is not None:
+            if not isinstance(given, Iterable):
+                raise UsageError(f"goals = {given!r}; give a list such as [MaxDamping(), PeakSensitivity(2.0)]")
             used = [f.name for f in fields(self) if getattr(self, f.name) != f.default]
             if used:
                 raise UsageError(f"tune: {', '.join(used)} beside goals; write them as goals, too")

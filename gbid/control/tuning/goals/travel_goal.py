@@ -8,6 +8,7 @@ from gbid.control.impact.half_sine import HalfSine
 from gbid.control.tuning.goals.goal import DesignContext, Wanted, positive
 from gbid.control.tuning.search.measure import ExtraLimit
 from gbid.control.tuning.travel import travel_limit
+from gbid.errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -30,6 +31,8 @@ class PiezoTravel(Wanted):
     def __post_init__(self) -> None:
         super().__post_init__()
         positive(self, travel_m=self.travel_m)
+        if not isinstance(self.impact, HalfSine):
+            raise UsageError(f"PiezoTravel: impact = {self.impact!r}; give a HalfSine")
 
     def measure(self, context: DesignContext) -> ExtraLimit:
         """Return the measure of this goal."""

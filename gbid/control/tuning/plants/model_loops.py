@@ -131,6 +131,8 @@ def checked_models(
 
 
 def _places(model: LinearModel, what: str, names: tuple[str, ...], wanted: Sequence[str] | None) -> list[int]:
+    if wanted is not None and len(set(wanted)) < len(wanted):
+        raise UsageError(f"{what}s = {wanted!r}: give each {what} once")
     for name in wanted or ():
         if name not in names:
             raise UsageError(f"model {model.name!r} has no {what} {name!r}; there are {', '.join(names)}")

@@ -80,20 +80,23 @@ def plants_of(
     UsageError
         When a model is of another kind, or when arguments do not belong to it.
     """
+    if uncertainty is not None and not isinstance(uncertainty, Uncertainty):
+        raise UsageError(f"uncertainty is a {type(uncertainty).__name__}; give gbid.Uncertainty(covariance)")
     if isinstance(model, LPVFit):
         model = model.model
     if isinstance(model, LPVModel):
         if channels != (None, None):
             raise UsageError("tune: inputs and outputs choose channels of linear models; an LPV model has r and p")
         return _of_lpv(model, structure, operating_points, actuator, uncertainty, sampling)
-    given = [model] if isinstance(model, LinearModel | FitResult) else list(model)
+    given = list(model) if isinstance(model, Sequence) else [model]
     if not given:
         raise UsageError("tune: no models")
     if uncertainty is not None:
         raise UsageError("tune: uncertainty belongs to an LPV model; give the drawn models in the list")
     models = [one for each in given for one in _linear(each, operating_points, actuator, sampling is not None)]
-    if operating_points is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
-        raise UsageError("tune: operating_points belong to LPV models")
+    for name, value in (("operating_points", operating_points), ("actuator", actuator)):
+        if value is not None and not any(isinstance(each, LPVModel | LPVFit) for each in given):
+            raise UsageError(f"tune: {name} belongs to LPV models; leave it out")
     chosen = checked_models(models, structure, *channels)
     assert not isinstance(structure, Scheduled)
     continuous = ModelLoops(structure, chosen, delay_s=_delay(sampling))

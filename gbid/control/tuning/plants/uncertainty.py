@@ -38,8 +38,8 @@ class Uncertainty(Brief):
     Raises
     ------
     UsageError
-        When not exactly one of the two is given, when its shape is wrong, or when the covariance has a negative
-        eigenvalue.
+        When not exactly one of the two is given, when its shape is wrong, when the covariance is not symmetric or has a
+        negative eigenvalue, or when draws, seed or chosen do not fit.
     """
 
     covariance: npt.ArrayLike | None = None
@@ -54,21 +54,28 @@ class Uncertainty(Brief):
         if (self.covariance is None) == (self.samples is None):
             raise UsageError("uncertainty: give either the covariance of the coefficients or samples")
         if self.covariance is not None:
-            covariance = np.asarray(self.covariance, float)
-            if covariance.shape != (n, n) or not np.isfinite(covariance).all():
-                raise UsageError(f"uncertainty: covariance has shape {covariance.shape}, expected finite {(n, n)}")
-            if self.scatter is not None:
-                lift = np.asarray(self.scatter, float)
-                if lift.shape != (len(KEY_PARAMETERS),) * 2 or not np.isfinite(lift).all():
-                    raise UsageError(f"uncertainty: scatter has shape {lift.shape}, expected finite (14, 14)")
-            if self.draws < 1:
-                raise UsageError(f"uncertainty: draws = {self.draws}; give at least 1")
+            for name, given, size in (
+                ("covariance", self.covariance, n),
+                ("scatter", self.scatter, len(KEY_PARAMETERS)),
+            ):
+                matrix = None if given is None else _array(name, given)
+                if matrix is not None and not (matrix.shape == (size, size) and _symmetric(matrix)):
+                    raise UsageError(
+                        f"uncertainty: {name} has shape {matrix.shape}; give finite and symmetric {(size, size)}"
+                    )
+            for name, value, least in (("draws", self.draws, 1), ("seed", self.seed, 0)):
+                if not isinstance(value, int | np.integer) or value < least:
+                    raise UsageError(f"uncertainty: {name} = {value!r}; give an integer of at least {least}")
+            known = int(self.draws)
         else:
-            samples = np.asarray(self.samples, float)
+            samples = _array("samples", self.samples)
+            known = len(samples) if samples.ndim else 0
             if samples.ndim != 2 or samples.shape[1] != len(KEY_PARAMETERS) or not np.isfinite(samples).all():
                 raise UsageError(
                     f"uncertainty: samples have shape {samples.shape}, expected finite (n, {len(KEY_PARAMETERS)})"
                 )
+        if any(i not in range(known) for i in self.chosen or ()):
+            raise UsageError(f"uncertainty: chosen = {self.chosen}; there are {known}, from 0")
 
     def scenarios(self, points: FloatArray) -> FloatArray:
         """Return every drawn plant at every point, the model itself first: (m (1 + n), 16).
@@ -102,9 +109,21 @@ class Uncertainty(Brief):
         return found
 
 
+def _array(name: str, given: npt.ArrayLike | None) -> FloatArray:
+    try:
+        return np.asarray(given, float)
+    except (TypeError, ValueError):
+        raise UsageError(f"uncertainty: {name} = {given!r}; give an array of numbers") from None
+
+
+def _symmetric(matrix: FloatArray) -> bool:
+    size = np.sqrt(np.abs(np.diag(matrix)))
+    return bool(np.isfinite(matrix).all() and (np.abs(matrix - matrix.T) <= 1e-6 * np.outer(size, size)).all())
+
+
 def _root(covariance: FloatArray) -> FloatArray:
     """Return a matrix R with R R' equal to a covariance."""
-    size = np.sqrt(np.diag(covariance))
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     size = np.where(size > 0, size, 1.0)
     values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
     if values[0] < -1e-6 * max(values[-1], 1.0):

@@ -80,9 +80,12 @@ def price_of_robustness(
     UsageError
         When there are no probabilities, and as for `tune_robust`.
     """
-    rising = tuple(sorted({float(p) for p in probabilities}))
+    try:
+        rising = tuple(sorted({float(p) for p in probabilities}))
+    except (TypeError, ValueError):
+        rising = ()
     if not rising:
-        raise UsageError("price_of_robustness: no probabilities")
+        raise UsageError(f"price_of_robustness: probabilities = {probabilities!r}; give a list such as [0.5, 0.9]")
     designs: list[RobustDesign] = []
     start = options.pop("start", None)
     for probability in rising:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, is_finite
 from gbid.brief import Brief, Description, brief
 from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
@@ -133,14 +133,17 @@ def tune_robust(
     of them fails, the plant at the edge of that share is added and the design optimised again. So it does not serve the
     few worst plants that the probability leaves out. The promise comes from the fresh draws, by an order statistic.
     """
-    machine, known = _plant_and_uncertainty(model, uncertainty, draws, seed)
-    if not (0.5 <= probability < 1 and 0 < confidence < 1):
+    for name, value, least in (("draws", draws, 10), ("fresh", fresh, 1), ("seed", seed, 0), ("rounds", rounds, 0)):
+        if not isinstance(value, int | np.integer) or value < least:
+            raise UsageError(f"tune_robust: {name} = {value!r}; give an integer of at least {least}")
+    if not (is_finite(probability) and 0.5 <= probability < 1 and is_finite(confidence) and 0 < confidence < 1):
         raise UsageError(
-            f"tune_robust: probability = {probability}, confidence = {confidence}; give 0.5 to 1, and 0 to 1"
+            f"tune_robust: probability = {probability!r}, confidence = {confidence!r}; give 0.5 to 1, and 0 to 1"
         )
+    machine, known = _plant_and_uncertainty(model, uncertainty, draws, seed)
     structure = controller if isinstance(controller, Scheduled) else controller_structure(controller)
     structure = with_schedule(structure, machine.domain)
-    trial = _Trial(machine, structure, tuple(goals), options)
+    trial = _Trial(machine, structure, tuple(goals or ()), options)
     chosen: tuple[int, ...] = ()
     # the share of failures that is allowed in the draws leaves room for the confidence on the fresh ones
     target = min(probability + (1 - probability) * 0.4, 1 - 0.5 / draws)
@@ -211,8 +214,8 @@ def _shortfall(seen: PlantDraws, value: float) -> FloatArray:
 def _plant_and_uncertainty(
     model: LPVFit | LPVModel, uncertainty: Uncertainty | None, draws: int, seed: int
 ) -> tuple[LPVModel, Uncertainty]:
-    if draws < 10:
-        raise UsageError(f"tune_robust: draws = {draws}; give at least 10")
+    if uncertainty is not None and not isinstance(uncertainty, Uncertainty):
+        raise UsageError(f"uncertainty is a {type(uncertainty).__name__}; give gbid.Uncertainty(covariance)")
     if uncertainty is not None and uncertainty.covariance is None:
         raise UsageError("tune_robust: give the covariance of the coefficients; samples cannot be drawn anew")
     if isinstance(model, LPVFit):

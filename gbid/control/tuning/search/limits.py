@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-
+from gbid.arrays import is_finite
 from gbid.control.tuning.search.measure import Measure
 from gbid.errors import UsageError
 
@@ -45,12 +44,12 @@ class Limits:
     def __post_init__(self) -> None:
         if self.objective not in ("damping", "decay"):
             raise UsageError(f"objective = {self.objective!r}; choose 'damping' or 'decay'")
-        if not (np.isfinite(self.slowest_pole) and self.slowest_pole >= 0):
-            raise UsageError(f"slowest_pole = {self.slowest_pole}; give a rate of at least 0 in 1/s")
+        if not (is_finite(self.slowest_pole) and self.slowest_pole >= 0):
+            raise UsageError(f"slowest_pole = {self.slowest_pole!r}; give a rate of at least 0 in 1/s")
         for name in ("peak_sensitivity", "peak_control", "static_amplification"):
             value = getattr(self, name)
-            if value is not None and not (np.isfinite(value) and value > 0):
-                raise UsageError(f"{name} = {value}; give a positive number or None")
+            if value is not None and not (is_finite(value) and value > 0):
+                raise UsageError(f"{name} = {value!r}; give a positive number or None")
 
     @property
     def measures(self) -> tuple[Measure, ...]:

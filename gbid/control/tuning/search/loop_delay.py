@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from math import isfinite
 
 import casadi as ca
 
+from gbid.arrays import is_finite
 from gbid.control.controllers.scheduled import Scheduled, controller_at
 from gbid.control.loop.sampled import exact_plant, sampled_loop
 from gbid.control.loop.sampling import Method
@@ -32,10 +32,10 @@ def loop_delay(sample_time: float | None, computation_s: float | None) -> float:
             raise UsageError("computation_s: give sample_time as well")
         return 0.0
     computation = sample_time if computation_s is None else computation_s
-    if not (isfinite(sample_time) and sample_time > 0):
-        raise UsageError(f"sample_time = {sample_time}; give seconds, above 0")
-    if not (isfinite(computation) and computation >= 0):
-        raise UsageError(f"computation_s = {computation}; give seconds, 0 or more")
+    if not (is_finite(sample_time) and sample_time > 0):
+        raise UsageError(f"sample_time = {sample_time!r}; give seconds, above 0")
+    if not (is_finite(computation) and computation >= 0):
+        raise UsageError(f"computation_s = {computation!r}; give seconds, 0 or more")
     return computation + sample_time / 2
 
 
