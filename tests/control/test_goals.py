@@ -163,6 +163,35 @@ def test_a_transfer_function_is_a_limit() -> None:
     np.testing.assert_allclose(excess(PeakSensitivity(lead)), expected, atol=2e-4)
 
 
+@pytest.mark.parametrize("rate", [2e-3, 100.0, 3e6])
+def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
+    """A light mode of a slow, a usual and a fast plant; a limit with a dip of 4 % width, and one with a step."""
+    unit, zeta = rate / (2 * np.pi), 0.01
+    plant = gbid.LinearModel(rate * np.array([[0, 1], [-1, -2 * zeta]]), [[0], [rate]], [[0.5, 0]], [[0]], name="slow")
+    form = controller_structure("lead-lag", axes=("",), lowpass_hz=10 * unit, corner_khz=(1e-4 * unit, 1e-2 * unit))
+    gains = np.array([-0.8, -0.2, 3e-3 * unit])
+    design = plants_of(plant, form, None, None, None, None, (None, None))
+    family = design.continuous.family(design.points)
+    low, high = np.array([(p.lower, p.upper) for p in form.parameters]).T
+    w = 2j * np.pi * unit * np.geomspace(1e-3, 1e4, 400_001)
+    hz = np.abs(w) / (2 * np.pi)
+    K = (-0.2 * w - 0.8 * 3 * rate) / (w + 3 * rate) / (1 + w / (10 * rate))
+    L = 0.5 * rate**2 / (w**2 + 2 * zeta * rate * w + rate**2) * K
+    S = 1 / (1 - L)
+    corners = np.array([[0.1, 1.0], [1.0, 0.9], [2.5, 0.01], [2.55, 0.9], [30.0, 2.0]]) * [unit, 1.0]
+    crossings = np.nonzero(np.diff(np.sign(np.abs(L) - 1)))[0]
+    cases = [
+        (PeakSensitivity(corners.tolist()), np.abs(S) / np.exp(np.interp(np.log(hz), *np.log(corners.T)))),
+        (RollOff(1.3 * unit, 0.05, slope_db=0.0), np.where(hz >= 1.3 * unit, np.abs(K * S) / 0.05, 0.0)),
+        (MinPhaseMargin(30.0), 30 / np.abs(np.degrees(np.angle(L[crossings])))),
+    ]
+    for goal, shares in cases:
+        limits = limits_of([MaxDamping(), goal], DesignContext(design.plant))
+        problem = GainProblem((family,), limits, low, high, rate)
+        found = limits.measures[0].excess(problem.state(family, family.matrices(gains), gains))
+        assert found[0] == pytest.approx(np.log(shares.max()), abs=2e-3), goal
+
+
 def test_modes_in_a_band() -> None:
     every = [q.model("output").modes() for q in loops()]
     expected = [0.5 - min(z for hz, z in modes if 80 <= hz <= 150) for modes in every]

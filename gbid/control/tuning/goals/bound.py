@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+import scipy
 
 from gbid.arrays import FloatArray, is_finite
 from gbid.errors import UsageError
@@ -14,8 +16,24 @@ BoundLike = float | Sequence[tuple[float, float]] | LinearModel
 """A number, ``(frequency_hz, bound)`` breakpoints, or a model with one input and one output whose gain is the bound."""
 
 
-def bound_over_frequency(bound: BoundLike, what: str) -> Callable[[FloatArray], FloatArray]:
-    """Return a bound as a function of frequency [Hz], for arrays of any shape.
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """Bound as a function of frequency.
+
+    Attributes
+    ----------
+    of_hz : callable
+        From frequencies [Hz] to bounds, for arrays of any shape.
+    places_hz : (k,) array
+        Frequencies at which it has a corner, a step, or a narrow dip [Hz].
+    """
+
+    of_hz: Callable[[FloatArray], FloatArray]
+    places_hz: FloatArray
+
+
+def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
+    """Return a bound as a function of frequency.
 
     Parameters
     ----------
@@ -34,12 +52,14 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Callable[[FloatArray], 
         if bound.D.shape != (1, 1):
             raise UsageError(f"{what}: model {bound.name!r} as a bound has {bound.D.shape} channels; give one by one")
         model = bound
-        return lambda hz: np.abs(model.frequency_response(np.ravel(hz))[:, 0, 0]).reshape(np.shape(hz))
+        return Bound(
+            lambda hz: np.abs(model.frequency_response(np.ravel(hz))[:, 0, 0]).reshape(np.shape(hz)), _places(model)
+        )
     if isinstance(bound, int | float | np.integer | np.floating):
         value = float(bound)
         if not (is_finite(bound) and value > 0):
             raise UsageError(f"{what} = {bound!r}; give a positive number")
-        return lambda hz: np.full(np.shape(hz), value)
+        return Bound(lambda hz: np.full(np.shape(hz), value), np.zeros(0))
     try:
         points = np.array([(float(hz), float(value)) for hz, value in bound])
     except (TypeError, ValueError):
@@ -49,4 +69,13 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Callable[[FloatArray], 
             f"{what} = {bound!r}; give a positive number, or (frequency_hz, bound) with rising frequencies"
         )
     x, y = np.log(points).T
-    return lambda hz: np.exp(np.interp(np.log(np.maximum(hz, 1e-12)), x, y))
+    return Bound(lambda hz: np.exp(np.interp(np.log(np.maximum(hz, 1e-300)), x, y)), points[:, 0])
+
+
+def _places(model: LinearModel) -> FloatArray:
+    """Return the frequencies of the poles and zeros of a model with one input and one output [Hz]."""
+    A, B, C, D = model.A, model.B, model.C, model.D
+    whole = np.block([[A, B], [C, D]])
+    zeros = scipy.linalg.eigvals(whole, np.diag([*np.ones(len(A)), 0.0]))
+    found = np.concatenate([np.linalg.eigvals(A), zeros[np.isfinite(zeros)]]) if len(A) else np.zeros(0)
+    return np.unique(np.concatenate([np.abs(found), np.abs(found.imag)])) / (2 * np.pi)

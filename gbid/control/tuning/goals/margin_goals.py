@@ -12,11 +12,11 @@ from gbid.arrays import ComplexArray, FloatArray, is_finite
 from gbid.control.tuning.goals.goal import DesignContext, Wanted
 from gbid.control.tuning.search.loop_family import LoopFamily, Loops
 from gbid.control.tuning.search.measure import ExtraLimit
-from gbid.control.tuning.search.peaks import IntArray, respond
+from gbid.control.tuning.search.peaks import IntArray, around, base_frequencies, respond
 from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.errors import UsageError
 
-_GRID = np.geomspace(1.0, 1e5, 400)
+_PER_DECADE = 80
 _NONE = 1e-6
 """Share of a margin that is used up where a loop has no crossing."""
 
@@ -112,9 +112,11 @@ def _share(
         return np.asarray(1 - 1 / respond(loops, system, rows, which, w)[..., channel, channel])
 
     m = len(family)
-    own = np.sort(
-        np.concatenate([np.abs(system.values), np.abs(system.values.imag), np.tile(_GRID, (m, 1))], 1), axis=1
-    )
+    base = base_frequencies(system.values, _PER_DECADE)
+    # with modes of the loop opened at this channel, near which its gain has its peaks
+    modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
+    near = around(modes).reshape(m, -1)
+    own = np.sort(np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1)
     L = gain(np.arange(m), own)
     value = crossing(L)
     loop, k = np.nonzero(np.sign(value[:, 1:]) * np.sign(value[:, :-1]) < 0)
@@ -131,3 +133,10 @@ def _share(
     real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
     np.maximum(found, np.where(real, used(rest), _NONE), out=found)
     return np.asarray(found)
+
+
+def _opened(loops: Loops, channel: int) -> ComplexArray:
+    """Return the eigenvalues of the loops opened at a channel (m, n): the zeros of its S_ii."""
+    direct = loops.D[:, channel, channel][:, None, None]
+    back = loops.B[:, :, channel, None] @ loops.C[:, None, channel]
+    return np.asarray(np.linalg.eigvals(loops.A - back / np.where(np.abs(direct) > 1e-9, direct, np.inf)), complex)

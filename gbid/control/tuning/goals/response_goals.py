@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from gbid.arrays import FloatArray, is_finite
-from gbid.control.tuning.goals.bound import BoundLike, bound_over_frequency
+from gbid.control.tuning.goals.bound import Bound, BoundLike, bound_over_frequency
 from gbid.control.tuning.goals.goal import DesignContext, Wanted, positive
 from gbid.control.tuning.goals.response_measure import LoopResponse, ResponseMeasure
 from gbid.control.tuning.search.limits import Limits
@@ -98,7 +98,7 @@ class PeakComplementary(ResponseGoal):
 
 @dataclass(frozen=True)
 class RollOff(Wanted):
-    """Control effort K S_o that falls above a frequency.
+    """Control effort K S_o that falls above a frequency, over three decades or up to half the sample rate.
 
     Parameters
     ----------
@@ -124,7 +124,9 @@ class RollOff(Wanted):
 
     def measure(self, context: DesignContext) -> ResponseMeasure:
         """Return the measure of this goal."""
-        return ResponseMeasure("roll-off of K S_o", LoopResponse.CONTROL, self._bound, weight=self.weight)
+        places = self.from_hz * (1 + 1e-9) * np.geomspace(1.0, 1e3, 25)
+        bound = Bound(self._bound, places)
+        return ResponseMeasure("roll-off of K S_o", LoopResponse.CONTROL, bound, weight=self.weight)
 
     def _bound(self, hz: FloatArray) -> FloatArray:
         over = np.maximum(hz, self.from_hz) / self.from_hz
@@ -155,7 +157,9 @@ class StaticAmplification(Wanted):
         def at_rest(hz: FloatArray) -> FloatArray:
             return np.where(hz == 0, self.limit, 1e300)
 
-        return ResponseMeasure("static amplification", LoopResponse.SENSITIVITY, at_rest, weight=self.weight)
+        return ResponseMeasure(
+            "static amplification", LoopResponse.SENSITIVITY, Bound(at_rest, np.zeros(0)), weight=self.weight
+        )
 
     def add_to(self, limits: Limits, context: DesignContext) -> Limits:
         """Return the limits with this goal."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import Enum
 
@@ -11,10 +10,11 @@ import numpy as np
 from gbid.arrays import ComplexArray, FloatArray
 from gbid.control.loop.margins import structured_singular_values
 from gbid.control.loop.norm import largest_singular_values
+from gbid.control.tuning.goals.bound import Bound
 from gbid.control.tuning.search.loop_family import Derivatives, Loops
 from gbid.control.tuning.search.measure import LoopState, Measure, Pieces
-from gbid.control.tuning.search.peaks import Peaks, direct_response, find_peaks, peak_slopes
-from gbid.control.tuning.search.plane import true_frequencies
+from gbid.control.tuning.search.peaks import IntArray, Peaks, around, direct_response, find_peaks, peak_slopes
+from gbid.control.tuning.search.plane import searched_frequencies, true_frequencies
 
 
 class LoopResponse(Enum):
@@ -39,8 +39,8 @@ class ResponseMeasure(Measure):
         Name of the limit.
     response : LoopResponse
         The response.
-    bound : callable
-        From frequencies [Hz] to bounds, for arrays of any shape.
+    bound : Bound
+        Largest allowed gain over frequency.
     structured : bool
         Whether the gain is the structured singular value of independent channels, else the largest singular value.
     channel : int, optional
@@ -51,7 +51,7 @@ class ResponseMeasure(Measure):
 
     name: str
     response: LoopResponse
-    bound: Callable[[FloatArray], FloatArray]
+    bound: Bound
     structured: bool = False
     channel: int | None = None
     weight: float = 1.0
@@ -82,10 +82,20 @@ class ResponseMeasure(Measure):
 
         def size(responses: ComplexArray, frequency: FloatArray) -> FloatArray:
             gains = (structured_singular_values if self.structured else largest_singular_values)(responses)
-            return np.asarray(gains / self.bound(true_frequencies(frequency, T) / (2 * np.pi)))
+            return np.asarray(gains / self.bound.of_hz(true_frequencies(frequency, T) / (2 * np.pi)))
 
         loops = self._of_response(state.loops, state.family.n_outputs)
-        return find_peaks(loops, state.system, slice(None), gain=size)
+        return find_peaks(loops, state.system, slice(None), self._places(state), size)
+
+    def _places(self, state: LoopState) -> tuple[IntArray, FloatArray]:
+        """Return loops and frequencies of the search at which peaks are looked for: of the bound, and around modes."""
+        T, m = state.family.sample_time, len(state.family)
+        true = 2 * np.pi * self.bound.places_hz
+        own = searched_frequencies(true if T is None else true[true < 0.999 * np.pi / T], T)
+        loop, which = np.nonzero(state.system.values.imag > 0)
+        modes = around(state.system.values[loop, which])
+        loops = np.concatenate([np.repeat(np.arange(m), len(own)), np.repeat(loop, modes.shape[1])])
+        return loops, np.concatenate([np.tile(own, m), modes.ravel()])
 
     def _of_response(self, loops: Loops, n_outputs: int) -> Loops:
         """Return the loops with this response as their only outputs."""

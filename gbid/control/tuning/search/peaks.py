@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +22,7 @@ from gbid.control.tuning.search.loop_family import Derivatives, Loops
 from gbid.control.tuning.search.spectrum import Eigensystem, bilinear
 
 IntArray = npt.NDArray[np.intp]
-_BASE = np.concatenate([[0.0], np.geomspace(1.0, 1e5, 140)])
+_PER_DECADE = 28
 _SUSPECT = 1e6
 """Largest entry of left eigenvectors up to which a response needs no check."""
 _WRONG = 1e-9
@@ -181,10 +181,10 @@ def find_peaks(
     coarse grid would miss belongs to a lightly damped eigenvalue. Each local maximum is then refined.
     """
     m = len(loops.A)
-    respond_at = ModalResponse(loops, modes, rows)
+    respond_at, base = ModalResponse(loops, modes, rows), base_frequencies(modes.values)
     if gain is _largest and (library := kernels()) is not None and (loops.D[:, rows].shape[1:]) == (2, 2):
-        return Peaks(*compiled_peaks(library, *respond_at.parts(), _BASE, extra, least))
-    grid = _grid(modes, extra)
+        return Peaks(*compiled_peaks(library, *respond_at.parts(), base, extra, least))
+    grid = _grid(modes, base, extra)
     values = gain(respond_at(grid), grid)
     padded = np.full((m, grid.shape[1] + 2), -np.inf)
     padded[:, 1:-1] = values
@@ -227,19 +227,49 @@ def _vertex(middle: FloatArray, step: FloatArray, values: FloatArray) -> tuple[F
     return place, np.where(inside, top, values.max(axis=1))
 
 
-def _grid(modes: Eigensystem, extra: tuple[IntArray, FloatArray] | None) -> FloatArray:
+def base_frequencies(values: ComplexArray, per_decade: int = _PER_DECADE) -> FloatArray:
+    """Return 0 and 1 to 1e5 rad/s with logarithmic spacing, and farther for loops on another time scale.
+
+    Parameters
+    ----------
+    values : (m, n) array
+        Eigenvalues of the loops.
+    per_decade : int
+        Number of frequencies in a decade.
+    """
+    size = np.abs(values)
+    if size.size and size.min() > 10.0 and size.max() <= 1e5:
+        return _spaced(1.0, 1e5, per_decade)
+    size = size[(size > 0) & np.isfinite(size)]
+    middle, top = (float(np.median(size)), float(size.max())) if size.size else (1.0, 1.0)
+    low = 1.0 if middle > 10.0 else 1e-2 * middle
+    return _spaced(low, 1e5 if top <= 1e5 else min(10 * top, 1e4 * max(middle, 1e2)), per_decade)
+
+
+@lru_cache(maxsize=32)
+def _spaced(low: float, high: float, per_decade: int) -> FloatArray:
+    return np.concatenate([[0.0], np.geomspace(low, high, round(per_decade * np.log10(high / low)))])
+
+
+def around(values: ComplexArray) -> FloatArray:
+    """Return frequencies on both sides of the resonance of each mode: (k,) to (k, 4) [rad/s]."""
+    steps = np.array([-3.0, -1.0, 1.0, 3.0])
+    return np.asarray(np.abs(np.abs(values.imag)[..., None] + np.abs(values.real)[..., None] * steps))
+
+
+def _grid(modes: Eigensystem, base: FloatArray, extra: tuple[IntArray, FloatArray] | None) -> FloatArray:
     """Return ascending frequencies for each loop (m, f) [rad/s]."""
     m, n = modes.values.shape
     n_extra = 0 if extra is None else len(extra[0])
-    grid = np.zeros((m, len(_BASE) + 2 * n + n_extra))
-    grid[:, : len(_BASE)] = _BASE
-    own = grid[:, len(_BASE) : len(_BASE) + 2 * n]
+    grid = np.zeros((m, len(base) + 2 * n + n_extra))
+    grid[:, : len(base)] = base
+    own = grid[:, len(base) : len(base) + 2 * n]
     # Conjugate and real eigenvalues give shifted points, because two equal frequencies would look like a maximum.
     size, pair = np.abs(modes.values), modes.values.imag > 0
     own[:, :n] = np.where(pair, size, 1.07 * size)
     own[:, n:] = np.where(pair, modes.values.imag, 0.93 * size)
     if extra is not None:
-        grid[extra[0], len(_BASE) + 2 * n + np.arange(n_extra)] = extra[1]
+        grid[extra[0], len(base) + 2 * n + np.arange(n_extra)] = extra[1]
     grid.sort(axis=1)
     return grid
 
