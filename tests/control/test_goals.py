@@ -180,7 +180,11 @@ def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
     S = 1 / (1 - L)
     corners = np.array([[0.1, 1.0], [1.0, 0.9], [2.5, 0.01], [2.55, 0.9], [30.0, 2.0]]) * [unit, 1.0]
     crossings = np.nonzero(np.diff(np.sign(np.abs(L) - 1)))[0]
+    flat = np.linspace(0.0, 50 * unit, 21)  # far apart beside the width of the mode
+    noise, within = DisturbanceSpectrum(flat, np.full((21, 1, 1), 1 / unit)), hz <= 50 * unit
+    power = np.trapezoid(np.abs(K * S)[within] ** 2, hz[within]) / unit
     cases = [
+        (RmsControl(0.1, noise), np.array([np.sqrt(power) / 0.1])),
         (PeakSensitivity(corners.tolist()), np.abs(S) / np.exp(np.interp(np.log(hz), *np.log(corners.T)))),
         (RollOff(1.3 * unit, 0.05, slope_db=0.0), np.where(hz >= 1.3 * unit, np.abs(K * S) / 0.05, 0.0)),
         (MinPhaseMargin(30.0), 30 / np.abs(np.degrees(np.angle(L[crossings])))),

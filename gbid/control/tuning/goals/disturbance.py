@@ -23,8 +23,9 @@ class DisturbanceSpectrum(Brief):
     frequency_hz : (k,) array
         Frequencies, rising [Hz].
     density : (k, n, n) array
-        Hermitian spectral density matrices of d [m^2/Hz]. The variance of d is the integral of its diagonal over
-        frequency. A line (unbalance at the speed) is a narrow peak of it.
+        Hermitian spectral density matrices of d [m^2/Hz], straight between the frequencies and zero beyond them. The
+        variance of d is the integral of its diagonal over frequency. A line (unbalance at the speed) is a narrow peak
+        of it.
     name : str
         Name.
     """
@@ -51,8 +52,9 @@ class DisturbanceSpectrum(Brief):
 
     @property
     def widths(self) -> FloatArray:
-        """Widths of the intervals around each frequency, for sums over frequency (k,) [Hz]."""
-        return np.gradient(self.frequency_hz)
+        """Widths of the intervals around each frequency, for sums over frequency by the trapezoidal rule (k,) [Hz]."""
+        steps = np.diff(self.frequency_hz)
+        return np.asarray((np.append(steps, 0.0) + np.append(0.0, steps)) / 2)
 
     @property
     def rms(self) -> FloatArray:

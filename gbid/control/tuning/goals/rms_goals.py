@@ -17,8 +17,10 @@ from gbid.control.tuning.search.plane import searched_frequencies
 from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.errors import UsageError
 
-_LINES = 256
-"""Largest number of frequencies at which a response is computed; the spectrum is summed between them."""
+_LINES = 384
+"""Number of frequencies at which a response is computed."""
+_LOW = 1e-3
+"""Share of the highest frequency below which intervals are no longer in proportion to the frequency."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,7 @@ class RmsGoal(Wanted):
                 f"{type(self).__name__}: the disturbance has {given.density.shape[1]} channels, the plant "
                 f"{len(context.plant.C)} outputs"
             )
-        hz, power = _grouped(given)
+        hz, power = _lines(given)
 
         def rms(family: LoopFamily, gains: FloatArray) -> FloatArray:
             loops = family.matrices(gains)
@@ -100,15 +102,27 @@ class RmsControl(RmsGoal):
     label = "r"
 
 
-def _grouped(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
-    """Return at most `_LINES` frequencies and the power around each of them, so that the variance stays the same."""
-    power = given.widths[:, None, None] * given.density
-    total = np.cumsum(np.einsum("kii->k", power).real)
-    # groups of equal power or of equal width, whichever is finer
-    share = total / max(float(total[-1]), 1e-300) + np.linspace(0, 1, len(total))
-    group = np.minimum((share / 2 * _LINES).astype(int), _LINES - 1)
-    names, start = np.unique(group, return_index=True)
-    weight = np.maximum(np.einsum("kii->k", power).real, 1e-300)
-    centre = np.add.reduceat(weight * given.frequency_hz, start) / np.add.reduceat(weight, start)
-    assert len(names) == len(centre)
-    return centre, np.add.reduceat(power, start, axis=0)
+def _lines(given: DisturbanceSpectrum) -> tuple[FloatArray, ComplexArray]:
+    """Return the middles of `_LINES` intervals [Hz] and the power in each (k, n, n).
+
+    They are narrow where there is much power, and in proportion to the frequency, as resonances are. They do not follow
+    the resonances of a loop: the rms would not be a smooth function of the gains.
+    """
+    f = given.frequency_hz
+    fine = np.union1d(f, np.concatenate([np.linspace(f[0], f[-1], 400), np.geomspace(_LOW * f[-1], f[-1], 1200)]))
+    fine = fine[fine >= f[0]]
+    density = _between(fine, f, given.density)
+    steps = (density[1:] + density[:-1]) / 2 * np.diff(fine)[:, None, None]
+    below = np.concatenate([np.zeros_like(density[:1]), np.cumsum(steps, axis=0)])
+    power, pitch = np.einsum("kii->k", below).real, np.log(np.maximum(fine, _LOW * f[-1]))
+    parts = [power, pitch - pitch[0], fine - fine[0]]
+    share = sum(part / max(float(part[-1]), 1e-300) * weight for part, weight in zip(parts, (2, 3, 1), strict=True))
+    nodes = np.interp(np.linspace(0.0, share[-1], _LINES + 1), share, fine)
+    return (nodes[1:] + nodes[:-1]) / 2, np.diff(_between(nodes, fine, below), axis=0)
+
+
+def _between(hz: FloatArray, known: FloatArray, values: ComplexArray) -> ComplexArray:
+    """Return values (k, n, n) at other frequencies, straight between the known ones."""
+    k = np.clip(np.searchsorted(known, hz, side="right") - 1, 0, len(known) - 2)
+    part = ((hz - known[k]) / (known[k + 1] - known[k]))[:, None, None]
+    return np.asarray(values[k] + part * (values[k + 1] - values[k]))
