@@ -11,7 +11,7 @@ import pytest
 from gain_problems import damping_problem
 
 from gbid.control.tuning.search.basins.ranking import better
-from gbid.control.tuning.search.global_search import Effort, search
+from gbid.control.tuning.search.global_search import Effort, refine, search
 from gbid.control.tuning.search.nonsmooth.active import Score
 from gbid.control.tuning.search.sqp import optimise_locally
 from gbid.control.tuning.search.starts.spread import spread_points
@@ -67,6 +67,24 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb(seed: int) -> None:
     assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
     assert found.best.x == pytest.approx(np.zeros(4), abs=1e-3)
     assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
+
+
+def test_designs_of_other_loops_are_all_climbed_and_the_best_end_wins() -> None:
+    """Hills of 0.3 and 0.472; the search of other loops ends beside each of them, best first for these other loops."""
+    low, high = np.array([0.5, 0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.5, 0.0])
+
+    def hills(g: Any) -> Any:
+        return 0.3 - 0.3 * ca.sumsqr(g - low) + 0.6 * ca.exp(-ca.sumsqr(g - high) / 0.1)
+
+    problem = damping_problem(hills, [-1.0] * 4, [1.0] * 4)
+    problem.linear = NEVER_ACTIVE
+    effort = Effort(hops=0)
+    assert refine(problem, [low + 0.05], effort).best.score.value == pytest.approx(0.3, abs=1e-3)
+    found = refine(problem, [low + 0.05, high + 0.05], effort)
+    assert found.best.x == pytest.approx(high, abs=0.1)
+    assert found.best.score.value > 0.4
+    ends = search(problem, low, Effort(starts=0, sketch=True), [high]).ends
+    assert [one.score.value for one in ends] == pytest.approx([0.472, 0.3], abs=1e-3)
 
 
 def test_the_best_finalist_wins_not_the_one_that_led_before() -> None:

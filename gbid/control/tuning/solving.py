@@ -33,16 +33,17 @@ def solve(
 ) -> tuple[LocalOptimum, tuple[SearchStep, ...]]:
     """Return the optimum and the history of a search, or of a local optimisation from a known design.
 
-    With `of_others` the known design is that of other loops, and the search looks farther around it.
+    With `of_others` the first designs are those of other loops, and the search goes on from them.
 
     Afterwards peaks between the grid frequencies are added as cuts, until exact norms exceed no limit.
     """
-    if found is None:
-        result = search(problem, neutral, effort, first, progress)
+    if found is not None:
+        near = optimise_locally(problem, found.x, max_iterations=300, radius=0.02)
+        result = SearchOutcome(near, (), (near,))
     elif of_others:
-        result = refine(problem, found.x, effort, progress)
+        result = refine(problem, [*first], effort, progress)
     else:
-        result = SearchOutcome(optimise_locally(problem, found.x, max_iterations=300, radius=0.02), ())
+        result = search(problem, neutral, effort, first, progress)
     best, history = result.best, list(result.history)
     for _ in range(10):
         if not add_cuts(problem, best.x):
@@ -71,7 +72,8 @@ def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:
         if not better(moved.score, found.score) or add_cuts(problem, moved.x):
             break
         found = moved
-    return replace(found, certificate=certificate)
+    # a climb that ended early has no less reached an optimum where this is certified
+    return replace(found, certificate=certificate, converged=found.converged or certificate.holds)
 
 
 def add_cuts(problem: GainProblem, x: FloatArray) -> bool:

@@ -18,8 +18,9 @@ from gbid.control.tuning.gain_result import GainResult
 from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
 from gbid.control.tuning.goals.short_form import ShortForm
 from gbid.control.tuning.maximise import as_bounds, as_start, check_counts, summarise
-from gbid.control.tuning.over_points import solve_over_points
+from gbid.control.tuning.over_points import sketch_over_points, solve_over_points
 from gbid.control.tuning.plants.loops_at_points import LoopsAtPoints
+from gbid.control.tuning.plants.plant_set import PlantSet
 from gbid.control.tuning.plants.plants_of import DesignPlants, PlantLike, Point, plants_of
 from gbid.control.tuning.plants.sampled_loops import Sampling
 from gbid.control.tuning.plants.uncertainty import Uncertainty
@@ -110,8 +111,8 @@ def tune(
     sample_time : float, optional
         Sample time of the target [s]. The design is then that of the sampled controller itself: the plant is
         discretised exactly with held references and its own delays, and the objective is the damping of the sampled
-        loop. A continuous design with Padé delays of order 3 is the start. Without `sample_time` the loop is continuous
-        and has more damping than the sampled one.
+        loop. Continuous designs with Padé delays of order 3 are the starts. Without `sample_time` the loop is
+        continuous and has more damping than the sampled one.
     computation_s : float, optional
         Time from the sample of p to the change of r [s]; one sample when not given.
     method : {"tustin", "zoh"}
@@ -198,25 +199,25 @@ def _search(
     first: list[FloatArray],
     progress: Progress | None,
 ) -> tuple[GainProblem, LocalOptimum, tuple[SearchStep, ...]]:
-    """Return problem, optimum and history: of the continuous loops, and from there of the sampled ones."""
+    """Return problem, optimum and history: of the continuous loops, or of the sampled ones with starts from these."""
     low, high, neutral = box
-    problem: GainProblem | None = None
-    found: LocalOptimum | None = None
-    history: tuple[SearchStep, ...] = ()
-    for plants in (design.continuous, design.sampled):
-        if plants is None:
-            continue
+
+    def posed(plants: PlantSet) -> GainProblem:
         family = plants.family(design.points)
         problem = GainProblem((family,), limits, low, high, typical_rate((family,), neutral))
         problem.linear = plants.gain_limits(design.points)
-        starts = first if found is None else [found.x, *first]
-        # few gains: a search of the whole box again, because it costs little; else from the continuous design
-        known = found if len(neutral) > 3 else None
-        found, more = solve_over_points(problem, plants, design.points, neutral, effort, starts, progress, known)
-        history += more
-    assert problem is not None
-    assert found is not None
-    return problem, found, history
+        return problem
+
+    history: tuple[SearchStep, ...] = ()
+    plants, of_others = design.continuous, False
+    if design.sampled is not None:
+        known = sketch_over_points(posed(plants), plants, design.points, neutral, effort, first, progress)
+        plants, history, first = design.sampled, known.history, [*(one.x for one in known.ends), *first]
+        # few gains: a search of the whole box again, because it costs little; else from the continuous designs
+        of_others = len(neutral) > 3
+    problem = posed(plants)
+    found, more = solve_over_points(problem, plants, design.points, neutral, effort, first, progress, of_others)
+    return problem, found, history + more
 
 
 def _gain_bounds(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,8 @@ from gbid.control.tuning.search.step import SearchStep
 Progress = Callable[[SearchStep], None]
 _FINALISTS = 3
 """Number of the best designs that are then fully optimised."""
+_SKETCHED = 6
+"""Number of random moves of each of them in a search for other loops."""
 _SAME = 1e-3
 """Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
 _AGREE = 1e-5
@@ -45,20 +47,25 @@ class Effort:
         Largest number of basin hops of each of the best designs, with more than three gains. A hop is a random move
         and a new local optimisation. It is needed because a local optimisation may stop early where eigenvalues meet.
         Hopping ends after several hops without improvement.
+    sketch : bool
+        Whether the search, for more than three gains, ends with several different designs: each of the best after a few
+        hops, as starts for other loops.
     """
 
     starts: int | None = None
     seed: int = 0
     finalists: int = 5
     hops: int = 48
+    sketch: bool = False
 
 
 @dataclass(frozen=True)
 class SearchOutcome:
-    """Best design of a search, and its history."""
+    """Best design of a search, its history, and the different designs with which it ended."""
 
     best: LocalOptimum
     history: tuple[SearchStep, ...]
+    ends: tuple[LocalOptimum, ...]
 
 
 def search(
@@ -135,6 +142,11 @@ def search(
         note("local", best_of(finals).score)
         if d in GRID and _settled(climber, finals):
             break
+    if d not in GRID and effort.sketch:
+        rng = np.random.default_rng(effort.seed)
+        best_ones = sorted(finals, key=rank, reverse=True)[:_FINALISTS]
+        ends = [hop_basins(climber, one, rng, _SKETCHED, _SKETCHED, note).best for one in best_ones]
+        return SearchOutcome(best_of(ends), tuple(history), tuple(ends))
     best = best_of(finals)
     if d not in GRID and effort.hops and not _settled(climber, finals):
         rng = np.random.default_rng(effort.seed)
@@ -147,30 +159,40 @@ def search(
     if not best.converged and not problem.exhausted:
         best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
         note("local", best.score)
-    return SearchOutcome(best, tuple(history))
+    return SearchOutcome(best, tuple(history), (best,))
 
 
-def refine(problem: GainProblem, start: FloatArray, effort: Effort, progress: Progress | None = None) -> SearchOutcome:
-    """Return the best design near one that was found for other loops, such as those in continuous time.
+def refine(
+    problem: GainProblem, starts: Sequence[FloatArray], effort: Effort, progress: Progress | None = None
+) -> SearchOutcome:
+    """Return the best design near some that were found for other loops, such as those in continuous time.
 
-    With more than three gains by basin hopping as well: a local optimum of the other loops often lies beside the narrow
-    region in which eigenvalues of these loops meet.
+    The best design of the other loops need not lie near the best one of these. So all of them are climbed, and the best
+    one is moved at random: a local optimum of the other loops often lies beside the narrow region in which eigenvalues
+    of these loops meet.
     """
     history: list[SearchStep] = []
+    found: list[LocalOptimum] = []
 
     def note(stage: str, score: Score) -> None:
         history.append(SearchStep(stage, problem.evaluations, problem.in_units(score.value), score.violation))
         if progress is not None:
             progress(history[-1])
 
-    best = optimise_locally(problem, start, max_iterations=300, radius=0.02)
-    note("local", best.score)
-    if len(start) not in GRID and effort.hops:
-        climber, rng = Climber(problem, gain_units(problem, best.x)), np.random.default_rng(effort.seed)
+    climber = Climber(problem, gain_units(problem, starts[0]))
+    for x in starts:
+        found.append(climber.full(x, None if climber.free else max(map(rank, found), default=-np.inf)))
+        note("local", best_of(found).score)
+    best = best_of(found)
+    if effort.hops:
+        rng = np.random.default_rng(effort.seed)
         best = hop_basins(climber, best, rng, effort.hops, 2 * len(climber.hop_sizes), note).best
         best = climber.with_certificate(best)
         note("local", best.score)
-    return SearchOutcome(best, tuple(history))
+    if not best.converged and not climber.certified(best):
+        best = optimise_locally(problem, best.x, max_iterations=600, radius=0.005)
+        note("local", best.score)
+    return SearchOutcome(best, tuple(history), (best,))
 
 
 def _settled(climber: Climber, finals: list[LocalOptimum]) -> bool:
