@@ -196,6 +196,22 @@ def test_goals_on_any_time_scale_see_narrow_limits(rate: float) -> None:
         assert found[0] == pytest.approx(np.log(shares.max()), abs=2e-3), goal
 
 
+def test_a_transfer_function_may_have_a_zero_at_rest_or_a_pole_on_the_axis() -> None:
+    a = 2 * np.pi * 5
+    high_pass = gbid.LinearModel([[-a]], [[1.0]], [[-2 * a]], [[2.0]])  # 2 s / (s + a): S_o must vanish at rest
+    assert excess(PeakSensitivity(high_pass)).min() > 5
+    undamped = gbid.LinearModel([[0, 300.0], [-300.0, 0]], [[0], [300.0]], [[1.0, 0]], [[0.0]])
+    assert np.isfinite(excess(PeakSensitivity(undamped))).all()
+
+
+def test_a_limit_that_cannot_be_met_leaves_a_stable_design() -> None:
+    arm = gbid.LinearModel([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [100.0]], [[1.0, 0.0]], [[0.0]], name="arm")
+    form = controller_structure("PD", axes=("",), lowpass_hz=20.0)
+    found = gbid.tune(arm, form, goals=[MaxDamping(), StaticAmplification(1e-6)], starts=2)
+    assert found.status == "limits contradict"
+    assert gbid.close_loop(arm, gbid.control.controller_model(form, found.gains)).is_stable()
+
+
 def test_modes_in_a_band() -> None:
     every = [q.model("output").modes() for q in loops()]
     expected = [0.5 - min(z for hz, z in modes if 80 <= hz <= 150) for modes in every]

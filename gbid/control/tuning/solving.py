@@ -9,8 +9,9 @@ import numpy as np
 
 from gbid.arrays import FloatArray
 from gbid.control.tuning.search.basins.climber import certificate_units
-from gbid.control.tuning.search.basins.ranking import better
+from gbid.control.tuning.search.basins.ranking import best_of, better
 from gbid.control.tuning.search.global_search import Effort, Progress, SearchOutcome, refine, search
+from gbid.control.tuning.search.limits import Limits
 from gbid.control.tuning.search.nonsmooth.certificate import certify
 from gbid.control.tuning.search.problem import GainProblem
 from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
@@ -53,12 +54,30 @@ def solve(
         if progress is not None:
             progress(history[-1])
     best = certified(problem, best)
+    if problem.uses_responses and not problem.stable(best.x):
+        best = _stable_instead(problem, best, neutral, effort)
     history.append(
         SearchStep("certificate", problem.evaluations, problem.in_units(best.score.value), best.score.violation)
     )
     if progress is not None:
         progress(history[-1])
     return best, tuple(history)
+
+
+def _stable_instead(problem: GainProblem, found: LocalOptimum, neutral: FloatArray, effort: Effort) -> LocalOptimum:
+    """Return a stable design in place of an unstable one, where there are stable ones.
+
+    The response of an unstable loop can exceed limits that nothing keeps by less than those of the stable ones.
+    """
+    plain = replace(problem, limits=Limits("decay"), cuts=[], linear=())
+    safe = search(plain, neutral, effort, [found.x]).best.x
+    problem.evaluations = plain.evaluations
+    if not problem.stable(safe):
+        return found
+    near = [optimise_locally(problem, safe, max_iterations=100, radius=0.02).x]
+    way = [safe + share * (found.x - safe) for share in np.linspace(0.0, 1.0, 40, endpoint=False)]
+    stable = [replace(found, x=x, score=problem.score(x), certificate=None) for x in [*way, *near] if problem.stable(x)]
+    return best_of([one for one in stable if one.score.usable] or [found])
 
 
 def certified(problem: GainProblem, found: LocalOptimum) -> LocalOptimum:

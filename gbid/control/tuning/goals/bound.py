@@ -51,10 +51,7 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
     if isinstance(bound, LinearModel):
         if bound.D.shape != (1, 1):
             raise UsageError(f"{what}: model {bound.name!r} as a bound has {bound.D.shape} channels; give one by one")
-        model = bound
-        return Bound(
-            lambda hz: np.abs(model.frequency_response(np.ravel(hz))[:, 0, 0]).reshape(np.shape(hz)), _places(model)
-        )
+        return _gain(bound)
     if isinstance(bound, int | float | np.integer | np.floating):
         value = float(bound)
         if not (is_finite(bound) and value > 0):
@@ -72,10 +69,27 @@ def bound_over_frequency(bound: BoundLike, what: str) -> Bound:
     return Bound(lambda hz: np.exp(np.interp(np.log(np.maximum(hz, 1e-300)), x, y)), points[:, 0])
 
 
+def _gain(model: LinearModel) -> Bound:
+    """Return the gain of a model; next to its zero at rest and its poles without damping, where it is 0 or infinite."""
+    places, poles = _places(model), np.linalg.eigvals(model.A)
+    still = np.unique(np.abs(poles.imag[np.abs(poles.real) <= 1e-9 * np.abs(poles)])) / (2 * np.pi)
+    scale = float(places[places > 0].min()) if places.any() else 1.0
+
+    def of_hz(hz: FloatArray) -> FloatArray:
+        at = np.maximum(np.ravel(hz), 1e-6 * scale)
+        for pole in still:
+            at = np.where(np.abs(at - pole) <= 1e-9 * pole, pole * (1 + 2e-9), at)
+        return np.asarray(np.abs(model.frequency_response(at)[:, 0, 0]).reshape(np.shape(hz)))
+
+    return Bound(of_hz, places)
+
+
 def _places(model: LinearModel) -> FloatArray:
     """Return the frequencies of the poles and zeros of a model with one input and one output [Hz]."""
     A, B, C, D = model.A, model.B, model.C, model.D
     whole = np.block([[A, B], [C, D]])
     zeros = scipy.linalg.eigvals(whole, np.diag([*np.ones(len(A)), 0.0]))
     found = np.concatenate([np.linalg.eigvals(A), zeros[np.isfinite(zeros)]]) if len(A) else np.zeros(0)
-    return np.unique(np.concatenate([np.abs(found), np.abs(found.imag)])) / (2 * np.pi)
+    places = np.unique(np.concatenate([np.abs(found), np.abs(found.imag)])) / (2 * np.pi)
+    fastest = np.abs(np.linalg.eigvals(A)).max(initial=0.0) / (2 * np.pi)  # what rounding leaves of 0 and of infinity
+    return np.asarray(places[(places > 1e-9 * fastest) & (places < 1e9 * max(fastest, 1e-9))])

@@ -86,7 +86,7 @@ class GainProblem:
         if some is not None:
             every = [loops.of(own) for loops, own in zip(every, some, strict=True)]
         # eigenvectors with the eigenvalues take hardly longer than the eigenvalues alone
-        systems = [Eigensystem.of(loops.A) for loops in every] if self._uses_responses else None
+        systems = [Eigensystem.of(loops.A) for loops in every] if self.uses_responses else None
         for f, (family, loops) in enumerate(zip(self.families, every, strict=True)):
             values = true_rates(systems[f].values if systems else eigenvalues(loops.A), family.sample_time)
             if np.isnan(values).any():
@@ -95,7 +95,7 @@ class GainProblem:
             violation = max(violation, float((self.slowest + values.real).max()) / self.scale)
         if value < worst:
             return Score(value, max(violation, 0.0))
-        if self._uses_responses and not all(loops.finite for loops in every):
+        if self.uses_responses and not all(loops.finite for loops in every):
             return UNUSABLE
         for _, _, peaks, limit in self._responses(every, systems, room=0.0):
             violation = max(violation, _log_ratio(float(peaks.value.max(initial=0.0)), limit))
@@ -109,7 +109,8 @@ class GainProblem:
         return Score(value, max(violation, 0.0)) if np.isfinite(violation + value) else UNUSABLE
 
     @property
-    def _uses_responses(self) -> bool:
+    def uses_responses(self) -> bool:
+        """Whether frequency responses, or other quantities besides the eigenvalues, are limited."""
         return self.limits.has_responses or bool(self.limits.measures)
 
     def state(self, family: LoopFamily, loops: Loops, x: FloatArray, system: Eigensystem | None = None) -> LoopState:
@@ -146,7 +147,7 @@ class GainProblem:
         limits: list[ActiveFunction] = []
         slopes_by = [family.derivatives(x) for family in self.families]
         systems = [Eigensystem.of(derivatives.A) for derivatives in slopes_by]
-        unfit = self._uses_responses and not all(loops.finite for loops in slopes_by)
+        unfit = self.uses_responses and not all(loops.finite for loops in slopes_by)
         if unfit or any(np.isnan(system.values).any() for system in systems):
             return ActiveFunctions(UNUSABLE, (), ())
         rates = [true_rates(s.values, family.sample_time) for s, family in zip(systems, self.families, strict=True)]
