@@ -55,6 +55,31 @@ def test_six_eigenvalues_that_meet_are_certified_by_their_mean() -> None:
     assert not certify(problem, elsewhere, np.maximum(np.abs(elsewhere), 0.1))[0].holds
 
 
+def test_two_eigenvalues_that_have_not_met_leave_room() -> None:
+    """Their mean has a damping of 0.5 + g/10; for g > d^2 they part from it across the ray of that damping."""
+
+    def parted(distance: float) -> GainProblem:
+        g, ray = ca.SX.sym("g"), np.exp(2j * np.pi / 3)
+        damping = 0.5 + 0.1 * g
+        mean, q = (
+            (-damping, ca.sqrt(1 - damping**2)),
+            [(distance**2 - g) * part for part in ((ray**2).real, (ray**2).imag)],
+        )
+        own, other = (ca.blockcat([[re, im], [-im, re]]) for re, im in (mean, q))
+        A = ca.Function("A", [g], [ca.blockcat([[own, ca.SX.eye(2)], [other, own]])])
+        return GainProblem(families_of([A], 1), Limits("damping"), np.full(1, -1.0), np.full(1, 1.0), 1.0)
+
+    near, rest = parted(0.03), np.zeros(1)
+    rise = near.score(np.array([0.03**2])).value / near.score(rest).value - 1
+    certificate, x = certify(near, rest, np.ones(1))
+    assert certificate.holds
+    assert certificate.meeting == (2,)
+    assert x == pytest.approx(rest)
+    assert 1e-4 < rise < certificate.room
+    far, x = certify(parted(0.3), rest, np.ones(1))
+    assert not far.holds or x[0] > 0.08
+
+
 def test_shortest_combination_of_gradients() -> None:
     free, none = np.ones(2), np.zeros(2, bool)
     problem = damping_problem(lambda g: 0.3 + 0.1 * g[0] + 0.05 * g[1], [-1.0] * 2, [1.0] * 2)

@@ -119,7 +119,8 @@ class GainResult(Brief):
     certificate_radius : float, optional
         Radius of the ball from which the gradients were taken, in sizes of the gains; 0: from the design itself.
     certificate_room : float, optional
-        Share of its value by which the objective could still rise within the ball. ``OPTIMAL`` needs at most 0.005.
+        Share of its value by which the objective could still rise within the ball, or if eigenvalues that are near each
+        other met. ``OPTIMAL`` needs at most 0.005.
     """
 
     gains: Annotated[Mapping[str, float], Stored("", "gains", "gains")]

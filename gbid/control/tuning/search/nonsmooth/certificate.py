@@ -38,7 +38,7 @@ class Certificate:
     room : float
         By which share of its value the objective could still rise within the ball, or by meetings of eigenvalues.
     meeting : tuple of int
-        Numbers of eigenvalues that meet at the design, where their mean takes the place of each of them.
+        Numbers of eigenvalues that meet at the design or beside it, where their mean takes the place of each of them.
     """
 
     gain: float
@@ -69,7 +69,9 @@ def certify(problem: GainProblem, x: FloatArray, unit: FloatArray) -> tuple[Cert
     - Eigenvalues meet. Their gradients are unbounded. The gradient of their mean takes their place, together with
       multiples of the gradients of their power sums, which vary at a first-order change of the gains (J. V. Burke,
       A. S. Lewis, M. L. Overton, "Optimal stability and eigenvalue multiplicity", Foundations of Computational
-      Mathematics 1, 2001).
+      Mathematics 1, 2001). The objective is never above that of the mean. Where the eigenvalues are near each other but
+      have not met, the mean may rise as the multiples times the changes of the power sums, which are at most twice
+      their values at the cluster's radius; this is added to the room.
     - Functions change place with each other near the design. Gradients are taken from a ball around it (the Goldstein
       subdifferential). The points of the ball are not random. Along the shortest combination found so far either the
       merit rises, and the design moves, or a gradient shortens the combination (gradient sampling: J. V. Burke,
@@ -121,7 +123,7 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
         return Certificate(0.0, 0.0, 0.0)
     value, best = max(abs(here.score.value), 1e-3), NO_CERTIFICATE
     for group in [(), *meetings(problem, x, here)]:
-        if not all(one.met for one in group):
+        if not all(one.close for one in group):
             continue
         aims = [piece for piece in here.aim if not any(one.holds(piece) for one in group)]
         aims += [one.mean for one in group]
@@ -139,25 +141,34 @@ def _at_design(problem: GainProblem, x: FloatArray, unit: FloatArray) -> Certifi
             hull = _bounds(problem, x, unit, near)
             hull.add(active)
             for one in group:
-                hull.add_meeting(*_spreads(one, problem.limits.objective == "damping"))
-            gain = float(np.linalg.norm(hull.shortest())) / value
+                hull.add_meeting(*_spreads(one, problem))
+            shortest, rise = hull.combination()
+            gain = float(np.linalg.norm(shortest)) / value
             # on the way to a bound that is not quite reached the objective rises by at most what it would without it
-            found = Certificate(gain, 0.0, room + nearer, tuple(one.mean.size for one in group))
+            found = Certificate(gain, 0.0, room + nearer + rise / value, tuple(one.mean.size for one in group))
             best, nearer = min(best, found, key=_order), _ACTIVE * gain
             if found.holds:
                 break
     return best
 
 
-def _spreads(one: Meeting, damping: bool) -> tuple[FloatArray, list[FloatArray]]:
-    """Return the gradient of the power sum whose rise lowers the objective, and those of the other power sums."""
+_Spread = tuple[FloatArray, float]
+"""Gradient of a power sum, and its largest change while the eigenvalues stay as near to each other."""
+
+
+def _spreads(one: Meeting, problem: GainProblem) -> tuple[_Spread, list[_Spread]]:
+    """Return the power sum whose rise lowers the objective, and the others."""
     slopes = one.cluster.powers_slope
+    share = one.radius / max(abs(one.mean.place), 0.01 * problem.scale)
+    largest = [2.0 * share**k for k in range(2, len(slopes) + 2)]
     if one.cluster.real:
-        return slopes[0].real, list(slopes[1:].real)
+        return (slopes[0].real, largest[0]), [*zip(slopes[1:].real, largest[1:], strict=True)]
     # eigenvalues that part along the gradient of the objective lower it, those that part across it do not
+    damping = problem.limits.objective == "damping"
     across = -((one.mean.place / abs(one.mean.place)) ** 2) if damping else 1.0
     turned = slopes[0] / across
-    return turned.real, [turned.imag, *slopes[1:].real, *slopes[1:].imag]
+    others = [turned.imag, *slopes[1:].real, *slopes[1:].imag]
+    return (turned.real, largest[0]), [*zip(others, [*largest, *largest[1:]], strict=True)]
 
 
 def _in_ball(problem: GainProblem, x: FloatArray, unit: FloatArray, radius: float) -> tuple[Certificate, FloatArray]:

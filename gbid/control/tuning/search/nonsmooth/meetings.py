@@ -18,8 +18,8 @@ _APART = 1.3
 """By how much the nearest eigenvalue outside is farther from the centre than the farthest inside."""
 _WINDOW = 0.1
 """Largest distance of the objective of a member from the worst one."""
-_ROUNDING = 1e-9
-"""Relative error of a matrix that counts as rounding, with the conditions of balanced loops."""
+_CLOSE = 0.1
+"""Radius of a cluster, as a share of its mean, up to which the objective of the mean bounds that of its members."""
 _SEEDS = 8
 """Number of the worst functions around whose eigenvalues clusters are looked for."""
 _CORRECTIONS = 10
@@ -43,9 +43,9 @@ class Meeting:
     radius: float
 
     @property
-    def met(self) -> bool:
-        """Whether the eigenvalues have met up to rounding, which moves k of them by its k-th root."""
-        return bool(self.radius <= 2.0 * _ROUNDING ** (1.0 / self.mean.size) * abs(self.mean.place))
+    def close(self) -> bool:
+        """Whether the eigenvalues are so near to each other that their mean can take the place of each of them."""
+        return bool(self.radius <= _CLOSE * abs(self.mean.place))
 
     def holds(self, piece: ActiveFunction) -> bool:
         """Return whether a function belongs to one of these eigenvalues."""
