@@ -37,6 +37,7 @@ from gbid.control import (
 )
 from gbid.control.controllers.structures import controller_structure
 from gbid.control.tuning.goals.goal import DesignContext, Goal, limits_of
+from gbid.control.tuning.goals.margin_goals import _intervals
 from gbid.control.tuning.plants.plants_of import DesignPlants, plants_of
 from gbid.control.tuning.plants.sampled_loops import Sampling
 from gbid.control.tuning.search.problem import GainProblem
@@ -202,6 +203,16 @@ def test_a_transfer_function_may_have_a_zero_at_rest_or_a_pole_on_the_axis() -> 
     assert excess(PeakSensitivity(high_pass)).min() > 5
     undamped = gbid.LinearModel([[0, 300.0], [-300.0, 0]], [[0], [300.0]], [[1.0, 0]], [[0.0]])
     assert np.isfinite(excess(PeakSensitivity(undamped))).all()
+
+
+def test_two_crossings_between_neighbours_of_the_grid_are_found() -> None:
+    grid = np.array([[1.0, 2.0, 3.0, 4.0], [1.0, 2.0, 3.0, 4.0]])
+    height = np.array([1e-3, -1e-3])  # the second loop turns back before zero
+    loop, low, high, sign = _intervals(grid, lambda which, w: height[which, None] - (w - 2.6) ** 2)
+    assert loop.tolist() == [0, 0]
+    assert sign.tolist() == [-1, 1]
+    for place, a, b in zip(2.6 + np.array([-1, 1]) * np.sqrt(1e-3), low, high, strict=True):
+        assert a < place < b
 
 
 def test_a_limit_that_cannot_be_met_leaves_a_stable_design() -> None:

@@ -12,11 +12,12 @@ from gbid.arrays import ComplexArray, FloatArray, is_finite
 from gbid.control.tuning.goals.goal import DesignContext, Wanted
 from gbid.control.tuning.search.loop_family import LoopFamily, Loops
 from gbid.control.tuning.search.measure import ExtraLimit
-from gbid.control.tuning.search.peaks import IntArray, around, base_frequencies, respond
+from gbid.control.tuning.search.peaks import IntArray, ModalResponse, around, base_frequencies
 from gbid.control.tuning.search.spectrum import Eigensystem
 from gbid.errors import UsageError
 
 _PER_DECADE = 80
+_STEPS = np.linspace(0.0, 1.0, 9)
 _NONE = 1e-6
 """Share of a margin that is used up where a loop has no crossing."""
 
@@ -105,11 +106,11 @@ def _share(
     used: Callable[[ComplexArray], FloatArray],
 ) -> FloatArray:
     """Return the largest share of one channel, with crossings located by bisection (m,)."""
-    rows = slice(0, family.n_outputs)
+    response = ModalResponse(loops, system, slice(0, family.n_outputs))
 
     def gain(which: IntArray, w: FloatArray) -> ComplexArray:
         # opened at this channel, with the others closed: L = 1 - 1 / S_ii
-        return np.asarray(1 - 1 / respond(loops, system, rows, which, w)[..., channel, channel])
+        return np.asarray(1 - 1 / response(w, which)[..., channel, channel])
 
     m = len(family)
     base = base_frequencies(system.values, _PER_DECADE)
@@ -117,10 +118,8 @@ def _share(
     modes = np.concatenate([system.values, _opened(loops, channel)], axis=1)
     near = around(modes).reshape(m, -1)
     own = np.sort(np.concatenate([np.abs(modes), np.abs(modes.imag), near, np.tile(base[1:], (m, 1))], 1), axis=1)
-    L = gain(np.arange(m), own)
-    value = crossing(L)
-    loop, k = np.nonzero(np.sign(value[:, 1:]) * np.sign(value[:, :-1]) < 0)
-    low, high, sign = own[loop, k], own[loop, k + 1], np.sign(value[loop, k])
+
+    loop, low, high, sign = _intervals(own, lambda which, w: crossing(gain(which, w)))
     for _ in range(45 if len(loop) else 0):
         middle = (low + high) / 2
         before = np.sign(crossing(gain(loop, middle[:, None])[:, 0])) == sign
@@ -133,6 +132,37 @@ def _share(
     real = np.abs(crossing(rest)) <= 1e-9 * np.abs(rest)
     np.maximum(found, np.where(real, used(rest), _NONE), out=found)
     return np.asarray(found)
+
+
+def _intervals(
+    grid: FloatArray, value_at: Callable[[IntArray, FloatArray], FloatArray]
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
+    """Return the intervals in which a function of frequency crosses zero: loop, ends, and sign at the lower end.
+
+    Where it turns back between neighbours of the grid, beyond zero, it crosses twice.
+    """
+    value = value_at(np.arange(len(grid)), grid)
+    side, size = np.sign(value), np.abs(value)
+    loop, k = np.nonzero(side[:, 1:] * side[:, :-1] < 0)
+    found = loop, grid[loop, k], grid[loop, k + 1], side[loop, k]
+    turns = (size[:, 1:-1] <= size[:, :-2]) & (size[:, 1:-1] <= size[:, 2:])
+    loop, k = np.nonzero(turns & (side[:, 1:-1] == side[:, :-2]) & (side[:, 1:-1] == side[:, 2:]))
+    if not len(loop):
+        return found
+    first, last, before, row = grid[loop, k], grid[loop, k + 2], side[loop, k], np.arange(len(loop))
+    low, high, top = first, last, first
+    for _ in range(4):
+        points = low[:, None] + (high - low)[:, None] * _STEPS
+        at = np.clip((before[:, None] * value_at(loop, points)).argmin(axis=1), 1, len(_STEPS) - 2)
+        low, top, high = points[row, at - 1], points[row, at], points[row, at + 1]
+    beyond = before * value_at(loop, top[:, None])[:, 0] < 0
+    first, top, last, before = first[beyond], top[beyond], last[beyond], before[beyond]
+    return (
+        np.concatenate([found[0], loop[beyond], loop[beyond]]),
+        np.concatenate([found[1], first, top]),
+        np.concatenate([found[2], top, last]),
+        np.concatenate([found[3], before, -before]),
+    )
 
 
 def _opened(loops: Loops, channel: int) -> ComplexArray:
