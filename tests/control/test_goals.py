@@ -215,6 +215,25 @@ def test_two_crossings_between_neighbours_of_the_grid_are_found() -> None:
         assert a < place < b
 
 
+@pytest.mark.parametrize("bounds", [(-1.0, 1.0), (0.5, 1.5)])
+def test_gains_at_which_the_loop_has_no_solution_are_stepped_back_from(bounds: tuple[float, float]) -> None:
+    # 1 - kappa is singular at 1, and the pole -1 + kappa / (1 - kappa) lies at zero for 0.5
+    plant = gbid.LinearModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]], name="direct")
+    form = controller_structure("P", axes=("",), order=0, lower=bounds[0], upper=bounds[1])
+    found = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)])
+    kappa = found.gains["kappa"]
+    assert found.value == pytest.approx(1 - kappa / (1 - kappa))
+    if bounds[0] < 0:
+        assert (found.status, kappa) == ("optimal", pytest.approx(-1.0))
+
+
+def test_a_sampled_loop_keeps_its_limit_at_half_the_sample_rate() -> None:
+    plant = gbid.LinearModel([[-1.0]], [[1.0]], [[1.0]], [[1.0]], name="direct")
+    form = controller_structure("P", axes=("",), order=0, lower=-1.0, upper=1.0)
+    found = gbid.tune(plant, form, goals=[MaxDecay(), PeakSensitivity(3.0)], sample_time=0.01)
+    assert found.peak_sensitivity == pytest.approx(3.0, rel=1e-6)
+
+
 def test_a_limit_that_cannot_be_met_leaves_a_stable_design() -> None:
     arm = gbid.LinearModel([[0.0, 1.0], [-100.0, -0.4]], [[0.0], [100.0]], [[1.0, 0.0]], [[0.0]], name="arm")
     form = controller_structure("PD", axes=("",), lowpass_hz=20.0)

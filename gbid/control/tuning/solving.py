@@ -19,6 +19,8 @@ from gbid.control.tuning.search.starts.units import gain_units
 from gbid.control.tuning.search.step import SearchStep
 from gbid.control.tuning.verify import exact_norms
 
+_FAR = 1e9
+"""Angular frequency that stands for infinity [rad/s]; of sampled loops, in units of 2 / T, for half the sample rate."""
 _MOST_ROUNDS = 3
 """Largest number of certificates, each after a better design that the one before had found."""
 
@@ -105,7 +107,9 @@ def add_cuts(problem: GainProblem, x: FloatArray) -> bool:
         least = limit * float(np.exp(min(max(known, 0.0), 300.0) + 1e-7))
         for f, family in enumerate(problem.families):
             for i, norm in enumerate(exact_norms(family, x, kind, least)):
-                if norm.value > least and np.isfinite(norm.frequency):
-                    problem.cuts.append((kind, f, i, norm.frequency))
+                far = _FAR if family.sample_time is None else 2 * _FAR / family.sample_time
+                cut = kind, f, i, min(norm.frequency, far)
+                if norm.value > least and cut not in problem.cuts:
+                    problem.cuts.append(cut)
                     added = True
     return added

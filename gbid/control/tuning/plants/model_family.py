@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass
 
 import casadi as ca
@@ -68,7 +69,7 @@ class ModelFamily(LoopFamily):
         assert plant is not None
         m, n_p = len(plant.A), plant.C.shape[1]
         A_K, B_K, C_K, D_K = (np.broadcast_to(M, (m, *M.shape[1:])) for M in (A_K, B_K, C_K, D_K))
-        X = np.linalg.inv(np.eye(D_K.shape[1]) - D_K @ plant.D)
+        X = _inverse(np.eye(D_K.shape[1]) - D_K @ plant.D)
         r_x, r_k, r_d = X @ D_K @ plant.C, X @ C_K, X @ D_K
         p_x, p_k, p_d = plant.C + plant.D @ r_x, plant.D @ r_k, np.eye(n_p) + plant.D @ r_d
         return Loops(
@@ -85,7 +86,7 @@ class ModelFamily(LoopFamily):
         _, B_K, C_K, D_K = (M[:, None] for M in K)
         dA_K, dB_K, dC_K, dD_K = slopes
         m, d = len(G_A), dA_K.shape[1]
-        X = np.linalg.inv(np.eye(D_K.shape[2]) - D_K @ G_D)
+        X = _inverse(np.eye(D_K.shape[2]) - D_K @ G_D)
         dX = X @ dD_K @ G_D @ X
         dX_C = dX @ C_K + X @ dC_K
         dX_D = dX @ D_K + X @ dD_K
@@ -131,10 +132,22 @@ def model_family(
     return ModelFamily(nothing, nothing, labels, points, n, T, plants=plants, law=law, companion=companion)
 
 
+def _inverse(matrices: FloatArray) -> FloatArray:
+    """Return inverses; not finite where there is none: an algebraic loop without solution, a pole at z = -1."""
+    try:
+        return np.asarray(np.linalg.inv(matrices), np.float64)
+    except np.linalg.LinAlgError:
+        found = np.full(matrices.shape, np.nan)
+        for place in np.ndindex(*matrices.shape[:-2]):
+            with suppress(np.linalg.LinAlgError):
+                found[place] = np.linalg.inv(matrices[place])
+        return found
+
+
 def _transformed(loops: Loops, T: float) -> tuple[Loops, FloatArray]:
     """Return sampled loops in the plane ``w = (2 / T) (z - 1) / (z + 1)``, and ``(A + I)^-1``."""
     eye, s = np.eye(loops.A.shape[-1]), 2 / np.sqrt(T)
-    P = np.asarray(np.linalg.inv(loops.A + eye), np.float64)
+    P = np.asarray(_inverse(loops.A + eye), np.float64)
     CP = loops.C @ P
     return Loops(2 / T * (eye - 2 * P), s * P @ loops.B, s * CP, loops.D - CP @ loops.B), P
 

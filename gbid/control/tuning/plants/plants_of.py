@@ -155,8 +155,8 @@ def _linear(
     found = given.model if isinstance(given, FitResult) else given
     if not isinstance(found, LinearModel):
         raise UsageError(
-            f"tune: {given!r} is no plant; give an LPV model, a LinearModel (the linearisation of a nonlinear one), a "
-            "fit, or a list of these"
+            f"tune: a {type(given).__name__} is no plant; give an LPV model, a LinearModel (of a nonlinear one its "
+            "linearise(x0, u0)), a fit, or a list of these"
         )
     return [found]
 

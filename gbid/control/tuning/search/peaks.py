@@ -29,6 +29,8 @@ _WRONG = 1e-9
 """Relative error of a response from which on it is computed without eigenvectors."""
 _ROUNDING = 1e-12
 """Relative rise of a peak that counts as rounding; its place then stays, as that of a flat one at zero frequency."""
+_AXIS = -1e-100
+"""Rate of a pole on the imaginary axis, at whose frequency a response would be infinite."""
 _STEPS = np.linspace(0.0, 1.0, 9)
 _NEAR = 0.9
 """Share of a gain that matters which a grid point near a peak of that gain reaches."""
@@ -94,7 +96,10 @@ class ModalResponse:
         if which is not None:
             poles, residues, D = poles[which], residues[which], D[which]
         # a quotient of real numbers is faster than one of complex numbers
-        rate, off = poles.real[:, None, :], frequency[:, :, None] - poles.imag[:, None, :]
+        rate, off = (
+            np.where(poles.real == 0, _AXIS, poles.real)[:, None, :],
+            frequency[:, :, None] - poles.imag[:, None],
+        )
         size = rate * rate + off * off
         resolvent = np.empty(size.shape, complex)
         np.divide(-rate, size, out=resolvent.real)
@@ -286,7 +291,10 @@ def peak_slopes(loops: Derivatives, rows: slice, peaks: Peaks) -> tuple[FloatArr
         return compiled_peak_slopes(library, loops, first, peaks.loop, peaks.frequency)
     i, n = peaks.loop, loops.A.shape[-1]
     system = 1j * peaks.frequency[:, None, None] * np.eye(n) - loops.A[i]
-    R = np.linalg.inv(system)
+    try:
+        R = np.linalg.inv(system)
+    except np.linalg.LinAlgError:  # a pole on one of the frequencies
+        R = np.linalg.inv(system + 1e-9 * max(float(np.abs(system).max()), 1e-9) * np.eye(n))
     C, D = loops.C[i][:, rows], loops.D[i][:, rows]
     RB, CR = R @ loops.B[i], C @ R
     U, values, Vh = np.linalg.svd(C @ RB + D)
