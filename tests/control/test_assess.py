@@ -110,3 +110,10 @@ def test_bad_input() -> None:
         gbid.assess(MACHINE, "P", GAINS, [(8, 0)])
     with pytest.raises(UsageError, match="no value for kappa_y"):
         gbid.assess(MACHINE, "P", {"kappa_x": 1.0}, [(6, 0)])
+
+
+def test_a_controller_with_integrators_is_assessed() -> None:
+    gains = {"kappa_x": 0.2, "kappa_y": 0.2, "ki_x": -20.0, "ki_y": -20.0}
+    found = gbid.assess(MACHINE, "PI", gains, [(6, 0)])
+    assert found.worst["static_amplification"][0] == pytest.approx(0.0, abs=1e-8)
+    assert found.worst["stiffness_ratio"][0] == np.inf  # no deflection is left under a steady force

@@ -160,7 +160,7 @@ def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
     Returns
     -------
     (n_outputs,) array
-        Stiffness ratios.
+        Stiffness ratios; infinite with integral action, after which a steady force leaves no deflection.
 
     Raises
     ------
@@ -168,7 +168,9 @@ def static_stiffness_ratio(loop: Sensitivities) -> FloatArray:
         When the plant does not show where a force enters (see `gbid.control.force_entry`).
     """
     G_f = static_force_gain(loop.plant)
-    return np.asarray(np.diag(G_f) / np.diag(loop.response("output", 0.0)[0].real @ G_f))
+    opened, closed = np.diag(G_f), np.diag(loop.response("output", 0.0)[0].real @ G_f)
+    stiff = np.abs(closed) <= 1e-9 * np.abs(opened)
+    return np.asarray(np.where(stiff, np.inf, opened / np.where(stiff, 1.0, closed)))
 
 
 def slow_poles(loop: Sensitivities, slower_than_hz: float = 20.0) -> FloatArray:

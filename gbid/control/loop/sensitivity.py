@@ -108,8 +108,17 @@ class Sensitivities(Brief, Pictured):
             When the name is unknown, or when frequencies are not finite.
         """
         _check_which(which)
-        G, K = self.plant.frequency_response(frequency_hz), self.controller.frequency_response(frequency_hz)
+        beside = self._beside_integrators(np.atleast_1d(np.asarray(frequency_hz, float)))
+        G, K = self.plant.frequency_response(beside), self.controller.frequency_response(beside)
         return _combine(which, G, K)
+
+    def _beside_integrators(self, frequency_hz: FloatArray) -> FloatArray:
+        """Return frequencies, just above zero where plant or controller integrate: the loop has a limit there."""
+        at_rest = frequency_hz == 0
+        if not at_rest.any() or not any(_integrates(model) for model in (self.plant, self.controller)):
+            return frequency_hz
+        moving = np.abs(self.poles)
+        return np.where(at_rest, 1e-9 * float(moving[moving > 0].min(initial=1e3)) / (2 * np.pi), frequency_hz)
 
     def peak(self, which: Which = "output", tolerance: float = 1e-8) -> Peak:
         """Return the largest singular value over all frequencies.
@@ -258,3 +267,12 @@ def _gang(plant: LinearModel, controller: LinearModel) -> LinearModel:
 def _check_which(which: str) -> None:
     if which not in get_args(Which):
         raise UsageError(f"sensitivity {which!r}; choose {', '.join(map(repr, get_args(Which)))}")
+
+
+def _integrates(model: LinearModel) -> bool:
+    at_rest = 0.0 if model.dt is None else 1.0
+    return bool(
+        (
+            np.abs(np.linalg.eigvals(model.A) - at_rest) <= 1e-12 * max(1.0, float(np.abs(model.A).max(initial=0.0)))
+        ).any()
+    )
