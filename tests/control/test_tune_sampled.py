@@ -68,9 +68,11 @@ def test_design_for_sampling_is_true_of_the_sampled_loop_and_damps_it_more() -> 
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2, 5])
+@pytest.mark.parametrize("seed", [1, 5, 17])
 def test_sampled_biquad_is_the_best_known_and_true_of_the_sampled_loop(seed: int) -> None:
-    """With kernels as users compile them. From the best continuous design alone, seeds 1 and 5 end at 0.716 and 0.731.
+    """With kernels as users compile them. From the best continuous design alone seeds 1 and 5 end at 0.716 and 0.731.
+
+    Climbed with first steps of one length only, seed 17 ends at 0.818.
 
     At the best design five eigenvalues meet: whether a design beside it has a certificate hangs on rounding.
     """

@@ -24,6 +24,8 @@ _FINALISTS = 3
 """Number of the best designs that are then fully optimised."""
 _SKETCHED = 6
 """Number of random moves of each of them in a search for other loops."""
+_OTHER_RADII = (0.2, 0.02)
+"""Trust regions of further climbs from the most promising design of other loops, as shares of the bounds."""
 _SAME = 1e-3
 """Distance of rough designs of few gains, as a share of the bounds, within which they belong to one optimum."""
 _AGREE = 1e-5
@@ -144,6 +146,8 @@ def search(
             break
     if d not in GRID and effort.sketch:
         rng = np.random.default_rng(effort.seed)
+        if _settled(climber, finals):
+            return SearchOutcome(best_of(finals), tuple(history), (best_of(finals),))
         best_ones = sorted(finals, key=rank, reverse=True)[:_FINALISTS]
         ends = [hop_basins(climber, one, rng, _SKETCHED, _SKETCHED, note).best for one in best_ones]
         return SearchOutcome(best_of(ends), tuple(history), tuple(ends))
@@ -167,9 +171,9 @@ def refine(
 ) -> SearchOutcome:
     """Return the best design near some that were found for other loops, such as those in continuous time.
 
-    The best design of the other loops need not lie near the best one of these. So all of them are climbed, and the best
-    one is moved at random: a local optimum of the other loops often lies beside the narrow region in which eigenvalues
-    of these loops meet.
+    The best design of the other loops need not lie near the best one of these. So all of them are climbed. From the one
+    that leads highest further climbs begin with longer and shorter steps, and the best end is moved at random: a local
+    optimum of the other loops often lies beside the narrow region in which eigenvalues of these loops meet.
     """
     history: list[SearchStep] = []
     found: list[LocalOptimum] = []
@@ -180,10 +184,16 @@ def refine(
             progress(history[-1])
 
     climber = Climber(problem, gain_units(problem, starts[0]))
-    for x in starts:
+    same = _SAME * (problem.upper - problem.lower)
+    apart = [x for i, x in enumerate(starts) if not any((np.abs(x - y) <= same).all() for y in starts[:i])]
+    for x in apart:
         found.append(climber.full(x, None if climber.free else max(map(rank, found), default=-np.inf)))
         note("local", best_of(found).score)
     best = best_of(found)
+    leader = next(x for x, one in zip(apart, found, strict=True) if one is best)
+    for radius in () if climber.free else _OTHER_RADII:
+        best = best_of([best, optimise_locally(problem, leader, max_iterations=100, radius=radius)])
+        note("local", best.score)
     if effort.hops:
         rng = np.random.default_rng(effort.seed)
         best = hop_basins(climber, best, rng, effort.hops, 2 * len(climber.hop_sizes), note).best
