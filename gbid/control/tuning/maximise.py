@@ -240,16 +240,25 @@ def _active(problem: GainProblem, x: FloatArray, names: tuple[str, ...], stable:
     bounds += [f"{n} at its upper bound" for n, at in zip(names, problem.upper - x < 1e-6 * width, strict=True) if at]
     if not stable:
         return tuple(bounds)
-    limits = []
+    found: dict[str, dict[str, None]] = {}
     located = {*_TITLES, *(extra.name for extra in problem.limits.extra)}
-    for piece in problem.functions(x).limits:
+    for piece in sorted(problem.functions(x).limits, key=lambda piece: -piece.value):
         if piece.value > -1e-4:
-            family = problem.families[piece.family]
-            where = f" at {family.labels[piece.loop]}" if piece.kind in located else ""
-            limits.append(_TITLES.get(piece.kind, piece.kind) + where)
-    return tuple(dict.fromkeys([*limits, *bounds]))
+            places = found.setdefault(_TITLES.get(piece.kind, piece.kind), {})
+            if piece.kind in located:
+                places[problem.families[piece.family].labels[piece.loop]] = None
+    return tuple(dict.fromkeys([*(text for title in found for text in _located(title, [*found[title]])), *bounds]))
 
 
+def _located(title: str, places: list[str]) -> list[str]:
+    """Return a limit at each of its places, worst first; of many only how many there are besides the worst."""
+    if len(places) > _PLACES:
+        return [f"{title} at {places[0]} and {len(places) - 1} more"]
+    return [f"{title} at {place}" for place in places] or [title]
+
+
+_PLACES = 4
+"""Largest number of places of a limit that are named one by one."""
 _TITLES = {
     "pole": "slowest pole",
     "sensitivity": "peak of S_o",
