@@ -130,8 +130,10 @@ def search(
     rough.sort(key=rank, reverse=True)
     raced = not climber.free and d not in GRID and len(rough) > _FINALISTS
     if raced:
-        lead = rank(rough[0])
-        further = [climber.rough(one.x, lead, LATER_RADIUS) for one in rough[: -(-2 * len(rough) // 3)]]
+        lead, further = rank(rough[0]), []
+        for one in rough[: -(-2 * len(rough) // 3)]:
+            further.append(climber.rough(one.x, lead, LATER_RADIUS))
+            lead = max(lead, rank(further[-1]))
         note("global", best_of(further).score)
         rough = sorted(further, key=rank, reverse=True)[:_FINALISTS]
     finals: list[LocalOptimum] = []

@@ -15,7 +15,7 @@ from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
 
 GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
-_HOP_SIZES = (0.0015, 0.005, 0.015, 0.05)
+_HOP_SIZES = (0.005, 0.01, 0.02, 0.05)
 _FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
 """Sizes of random moves without limits on responses, in units or shares of the gains."""
 _ROUGH = 30
@@ -102,7 +102,7 @@ class Climber:
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
             goal = rank(best)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.02, goal=goal, behind=_BEHIND)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.01, goal=goal, behind=_BEHIND)
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
 

@@ -16,27 +16,28 @@ from gbid.control.tuning.search.sqp import LocalOptimum
 Note = Callable[[str, Score], None]
 _HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
-_ROUNDS = 3
-"""Largest number of rounds of random moves with limits, as long as the best design has no certificate."""
+_MOVES = 26
+"""Smallest number of random moves with limits: from a local optimum one of five finds a better one."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
-_NEAR = 1e-4
-"""Relative difference of values after random moves that count as the same optimum."""
-_KNOWN = 3e-4
-"""Relative difference of values of two lines of random moves that count as the same optimum."""
 _OTHER = 1e-3
 """Relative difference of values from which on designs count as different optima."""
-_RETURNED = 2
-"""Number of longest random moves to the same optimum after which it is taken for the best one."""
+_STALLED = 0.03
+"""Relative gain by random moves from which on the first climbs are taken for stalled ones."""
+_KNOWN = 3e-4
+"""Relative difference of values of two lines of random moves that count as the same optimum."""
+_SAME = 1e-4
+"""Relative difference of values after random moves that count as the same optimum."""
+_RETURNED = 4
+"""Number of random moves to the same optimum, the shortest moves not counted, after which it is taken for the best."""
 
 
 @dataclass(frozen=True)
 class HoppedLine:
-    """Best design of a line of random moves, whether a longer one in vain ended at its value, and its optima."""
+    """Best design of a line of random moves, and whether it ended because moves came back to the same optimum."""
 
     best: LocalOptimum
     returned: bool
-    optima: tuple[Score, ...]
 
 
 def hop_freely(
@@ -50,32 +51,27 @@ def hop_freely(
 
 
 def hop_with_limits(
-    climber: Climber,
-    finals: list[LocalOptimum],
-    rng: np.random.Generator,
-    most: int,
-    note: Note,
+    climber: Climber, finals: list[LocalOptimum], rng: np.random.Generator, most: int, note: Note
 ) -> LocalOptimum:
-    """Move the best design at random; also another one, unless long moves come back to the best one.
+    """Move the best design at random, then other ones unless the best one can be trusted.
 
-    A local optimum of which no move comes back may be a narrow one beside the way to a better one.
+    It cannot where it has no certificate, where the moves came back (its basin is wide, but a better one may lie far
+    off), or where they made it much better (the first climbs had stalled, so their order says little).
     """
-    best, kinds = best_of(finals), len(climber.hop_sizes)
-    others = [one for one in finals if abs(one.score.value - best.score.value) > _OTHER * abs(best.score.value)]
-    if not others:
-        best = hop_basins(climber, best, rng, most, 3 * kinds, note).best
-    first: HoppedLine | None = None
-    for start in [best, max(others, key=rank)] if others else []:
-        line = hop_basins(climber, start, rng, most, 2 * kinds, note, first)
-        best = line.best if better(line.best.score, best.score) or line.best.score == best.score else best
-        if line.best is best and line.returned:
+    kinds = len(climber.hop_sizes)
+    start = best_of(finals)
+    others = [one for one in finals if abs(one.score.value - start.score.value) > _OTHER * abs(start.score.value)]
+    optima: list[Score] = []
+    line = hop_basins(climber, start, rng, most, 2 * kinds, note, _MOVES, optima)
+    best = climber.with_certificate(line.best)
+    much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
+    trusted = not (line.returned or much_better)
+    for other in sorted(others, key=rank, reverse=True):
+        if climber.problem.exhausted or (trusted and climber.certified(best)):
             break
-        first = line
-    for _ in range(_ROUNDS - 1):
-        best = climber.with_certificate(best)
-        if climber.problem.exhausted or climber.certified(best):
-            break
-        best = hop_basins(climber, best, rng, most, 3 * kinds, note).best
+        found = hop_basins(climber, other, rng, most, kinds + 1, note, optima=optima).best
+        best = climber.with_certificate(found) if better(found.score, best.score) else best
+        trusted = True
     return best
 
 
@@ -86,17 +82,19 @@ def hop_basins(
     most: int,
     in_vain: int,
     note: Note,
-    before: HoppedLine | None = None,
+    at_least: int = 0,
+    optima: list[Score] | None = None,
 ) -> HoppedLine:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
-    With limits, fewer moves are enough when several of the longest ones end at the same value. After a line `before`,
-    an end is any optimum from which that one went on to a better one.
+    There are at least some moves altogether: where one of five leads to a better design, ten in a row miss it once in
+    ten times. With limits, fewer moves are enough when several of them come back to the same optimum, or when one leads
+    to one of the known `optima`, to which the optima of this line are added.
     """
-    vain = longest = long = 0
-    optima = [best.score]
+    vain = returned = 0
+    known = list(optima or ())
     for i in range(most):
-        if vain == in_vain or longest == _RETURNED or climber.problem.exhausted:
+        if (vain >= in_vain and i >= at_least) or returned == _RETURNED or climber.problem.exhausted:
             break
         size = climber.hop_sizes[i % len(climber.hop_sizes)]
         again = climber.hop(best, size, rng)
@@ -104,21 +102,18 @@ def hop_basins(
         repaired = again.score.violation <= FEASIBLE < best.score.violation
         improved = better(again.score, best.score)
         vain = 0 if improved and (progress or repaired) else vain + 1
-        near = vain > 0 and _same(again.score, best.score)
-        longest = 0 if not vain else longest + (near and size == climber.hop_sizes[-1] and not climber.free)
-        long = 0 if not vain else long + (near and size in climber.hop_sizes[-2:])
+        counts = _same(again.score, best.score) and size > climber.hop_sizes[0] and not climber.free
+        returned = returned + counts if vain else 0
         best = again if improved else best
         note("basin hopping", best.score)
-        if improved:
+        if improved and any(_same(best.score, one, _KNOWN) for one in known):
+            break
+        if improved and optima is not None:
             optima.append(best.score)
-            if before is None or _same(best.score, before.best.score, _KNOWN):
-                continue
-            if any(_same(best.score, one, _KNOWN) for one in before.optima):
-                break
-    return HoppedLine(best, bool(long), tuple(optima))
+    return HoppedLine(best, returned == _RETURNED)
 
 
-def _same(one: Score, other: Score, share: float = _NEAR) -> bool:
+def _same(one: Score, other: Score, share: float = _SAME) -> bool:
     return one.violation <= FEASIBLE and abs(one.value - other.value) <= share * abs(other.value)
 
 
