@@ -114,7 +114,7 @@ def search(
 
     d = len(neutral)
     given = [np.clip(np.asarray(x, float), problem.lower, problem.upper) for x in (neutral, *first)]
-    climber = Climber(problem, gain_units(problem, given[0]))
+    climber = Climber(problem, gain_units(problem, given[0]), fine=effort.sketch)
     rough: list[LocalOptimum] = []
     if d in GRID and effort.starts is None:
         for x in (*given, *grid_starts(problem, given[0], climber.unit, GRID[d], effort.finalists)):
@@ -133,7 +133,7 @@ def search(
         lead, further = rank(rough[0]), []
         for one in rough[: -(-2 * len(rough) // 3)]:
             further.append(climber.rough(one.x, lead, LATER_RADIUS))
-            lead = max(lead, rank(further[-1]))
+            lead = lead if effort.sketch else max(lead, rank(further[-1]))
         note("global", best_of(further).score)
         rough = sorted(further, key=rank, reverse=True)[:_FINALISTS]
     finals: list[LocalOptimum] = []
@@ -185,7 +185,7 @@ def refine(
         if progress is not None:
             progress(history[-1])
 
-    climber = Climber(problem, gain_units(problem, starts[0]))
+    climber = Climber(problem, gain_units(problem, starts[0]), fine=True)
     same = _SAME * (problem.upper - problem.lower)
     apart = [x for i, x in enumerate(starts) if not any((np.abs(x - y) <= same).all() for y in starts[:i])]
     for x in apart:

@@ -16,6 +16,11 @@ from gbid.control.tuning.search.sqp import LocalOptimum, optimise_locally
 GRID = {1: 61, 2: 25, 3: 9}
 """Number of grid points per gain, for up to three gains."""
 _HOP_SIZES = (0.005, 0.01, 0.02, 0.05)
+"""Sizes of random moves with limits on responses, as shares of the bounds; the way out of a basin may be a few %."""
+_FINE_HOPS = (0.0015, 0.005, 0.015, 0.05)
+"""The same on the way to a design for sampled loops, whose eigenvalues meet in narrower regions."""
+_HOP_RADIUS, _FINE_RADIUS = 0.01, 0.02
+"""Trust regions after random moves, and after those."""
 _FREE_HOPS = (1e-3, 1e-2, 0.1, 0.5)
 """Sizes of random moves without limits on responses, in units or shares of the gains."""
 _ROUGH = 30
@@ -42,10 +47,20 @@ class Climber:
 
     Limits make a ridge of every design on them, along which BFGS is slow. Without limits it is the faster one: its
     evaluations need one gradient only.
+
+    Parameters
+    ----------
+    problem : GainProblem
+        The design problem.
+    unit : (d,) array
+        Units of the gains.
+    fine : bool
+        Whether some random moves are shorter, as a design for a sampled loop needs them.
     """
 
     problem: GainProblem
     unit: FloatArray
+    fine: bool = False
     _certified: dict[bytes, bool] = field(default_factory=dict, init=False, repr=False)
 
     @property
@@ -64,7 +79,9 @@ class Climber:
     @property
     def hop_sizes(self) -> tuple[float, ...]:
         """Sizes of random moves."""
-        return _FREE_HOPS if self.free else _HOP_SIZES
+        if self.free:
+            return _FREE_HOPS
+        return _FINE_HOPS if self.fine else _HOP_SIZES
 
     def rough(self, start: FloatArray, goal: float, radius: float = 0.1) -> LocalOptimum:
         """Return a design near a start that is better, with few evaluations; fewer where the goal is out of reach."""
@@ -101,8 +118,8 @@ class Climber:
         step = size * rng.standard_normal(len(x))
         if not self.free:
             moved = x + step * (self.problem.upper - self.problem.lower)
-            goal = rank(best)
-            return optimise_locally(self.problem, moved, max_iterations=60, radius=0.01, goal=goal, behind=_BEHIND)
+            radius, goal = _FINE_RADIUS if self.fine else _HOP_RADIUS, rank(best)
+            return optimise_locally(self.problem, moved, max_iterations=60, radius=radius, goal=goal, behind=_BEHIND)
         found = self._ascent(x + step * np.maximum(self.unit, np.abs(x)), 100 + 40 * len(x))
         return optimise_locally(self.problem, found.x, max_iterations=20, radius=1e-3)
 

@@ -16,8 +16,8 @@ from gbid.control.tuning.search.sqp import LocalOptimum
 Note = Callable[[str, Score], None]
 _HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
-_MOVES = 26
-"""Smallest number of random moves with limits: from a local optimum one of five finds a better one."""
+_FIRST, _LATER = 8, 4
+"""Number of random moves of each size with limits until the first improvement, and after an improvement."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
 _OTHER = 1e-3
@@ -28,7 +28,7 @@ _KNOWN = 3e-4
 """Relative difference of values of two lines of random moves that count as the same optimum."""
 _SAME = 1e-4
 """Relative difference of values after random moves that count as the same optimum."""
-_RETURNED = 4
+_RETURNED = 5
 """Number of random moves to the same optimum, the shortest moves not counted, after which it is taken for the best."""
 
 
@@ -62,16 +62,15 @@ def hop_with_limits(
     start = best_of(finals)
     others = [one for one in finals if abs(one.score.value - start.score.value) > _OTHER * abs(start.score.value)]
     optima: list[Score] = []
-    line = hop_basins(climber, start, rng, most, 2 * kinds, note, _MOVES, optima)
+    line = hop_basins(climber, start, rng, most, _LATER * kinds, note, _FIRST * kinds, optima)
     best = climber.with_certificate(line.best)
     much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
     trusted = not (line.returned or much_better)
     for other in sorted(others, key=rank, reverse=True):
         if climber.problem.exhausted or (trusted and climber.certified(best)):
             break
-        found = hop_basins(climber, other, rng, most, kinds + 1, note, optima=optima).best
+        found = hop_basins(climber, other, rng, most, 2 * kinds, note, optima=optima).best
         best = climber.with_certificate(found) if better(found.score, best.score) else best
-        trusted = True
     return best
 
 
@@ -82,19 +81,20 @@ def hop_basins(
     most: int,
     in_vain: int,
     note: Note,
-    at_least: int = 0,
+    first: int = 0,
     optima: list[Score] | None = None,
 ) -> HoppedLine:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
-    There are at least some moves altogether: where one of five leads to a better design, ten in a row miss it once in
-    ten times. With limits, fewer moves are enough when several of them come back to the same optimum, or when one leads
-    to one of the known `optima`, to which the optima of this line are added.
+    Until the `first` improvement more of them may be in vain: where one move of five leads to a better design, ten in a
+    row miss it once in ten times. With limits, fewer moves are enough when several of them come back to the same
+    optimum, or when one leads to one of the known `optima`, to which the optima of this line are added.
     """
     vain = returned = 0
     known = list(optima or ())
     for i in range(most):
-        if (vain >= in_vain and i >= at_least) or returned == _RETURNED or climber.problem.exhausted:
+        enough = vain >= (in_vain if vain < i else max(first, in_vain))
+        if enough or returned == _RETURNED or climber.problem.exhausted:
             break
         size = climber.hop_sizes[i % len(climber.hop_sizes)]
         again = climber.hop(best, size, rng)
