@@ -69,6 +69,24 @@ def test_basin_hopping_crosses_ripples_that_hold_a_climb(seed: int) -> None:
     assert {step.stage for step in found.history} == {"global", "local", "basin hopping"}
 
 
+def test_other_designs_are_moved_where_the_moves_of_the_best_one_come_back() -> None:
+    """A smooth hill of 0.5, and far from it one of 0.6 whose ripples along the first gain hold a climb at 0.44."""
+    smooth, rough = np.array([-0.6, -0.6, 0.0, 0.0]), np.array([0.6, 0.6, 0.0, 0.0])
+
+    def hills(g: Any) -> Any:
+        ripples = 0.02 * (ca.cos(2 * np.pi * (g[0] - rough[0]) / 0.06) - 1)
+        return ca.fmax(0.5 - 0.3 * ca.sumsqr(g - smooth), 0.6 - 3.0 * ca.sumsqr(g - rough) + ripples)
+
+    problem, neutral = damping_problem(hills, [-1.0] * 4, [1.0] * 4), smooth + 0.05
+    problem.linear = NEVER_ACTIVE
+    beside = rough + np.array([-0.22, 0.0, 0.0, 0.0])
+    held = search(problem, neutral, Effort(starts=0, hops=0), [beside])
+    assert held.best.score.value == pytest.approx(0.5, abs=1e-6)
+    found = search(problem, neutral, Effort(starts=0), [beside])
+    assert found.best.score.value == pytest.approx(0.6, abs=1e-6)
+    assert found.best.x == pytest.approx(rough, abs=1e-3)
+
+
 def test_designs_of_other_loops_are_all_climbed_and_the_best_end_wins() -> None:
     """Hills of 0.3 and 0.472; the search of other loops ends beside each of them, best first for these other loops."""
     low, high = np.array([0.5, 0.5, 0.0, 0.0]), np.array([-0.5, 0.0, 0.5, 0.0])

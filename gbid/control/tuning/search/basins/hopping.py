@@ -53,10 +53,10 @@ def hop_freely(
 def hop_with_limits(
     climber: Climber, finals: list[LocalOptimum], rng: np.random.Generator, most: int, note: Note
 ) -> LocalOptimum:
-    """Move the best design at random, then other ones unless the best one can be trusted.
+    """Move the best design at random, then other ones where the best one cannot be trusted.
 
-    It cannot where it has no certificate, where the moves came back (its basin is wide, but a better one may lie far
-    off), or where they made it much better (the first climbs had stalled, so their order says little).
+    All others where it has no certificate, or where the moves made it much better: the first climbs had stalled, so
+    their order says little. One other where the moves came back: the basin is wide, but a better one may lie far off.
     """
     kinds = len(climber.hop_sizes)
     start = best_of(finals)
@@ -65,9 +65,9 @@ def hop_with_limits(
     line = hop_basins(climber, start, rng, most, _LATER * kinds, note, _FIRST * kinds, optima)
     best = climber.with_certificate(line.best)
     much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
-    trusted = not (line.returned or much_better)
-    for other in sorted(others, key=rank, reverse=True):
-        if climber.problem.exhausted or (trusted and climber.certified(best)):
+    doubted = len(others) if much_better else int(line.returned)
+    for moved, other in enumerate(sorted(others, key=rank, reverse=True)):
+        if climber.problem.exhausted or (moved >= doubted and climber.certified(best)):
             break
         found = hop_basins(climber, other, rng, most, 2 * kinds, note, optima=optima).best
         best = climber.with_certificate(found) if better(found.score, best.score) else best
