@@ -28,16 +28,17 @@ _KNOWN = 3e-4
 """Relative difference of values of two lines of random moves that count as the same optimum."""
 _SAME = 1e-4
 """Relative difference of values after random moves that count as the same optimum."""
-_RETURNED = 5
-"""Number of random moves to the same optimum, the shortest moves not counted, after which it is taken for the best."""
+_WIDE, _RETURNED = 3, 5
+"""Number of random moves to the same optimum, the shortest moves not counted, from which on its basin counts as wide,
+and after which no more moves are made."""
 
 
 @dataclass(frozen=True)
 class HoppedLine:
-    """Best design of a line of random moves, and whether it ended because moves came back to the same optimum."""
+    """Best design of a line of random moves, and how many of the longer moves came back to it."""
 
     best: LocalOptimum
-    returned: bool
+    returned: int
 
 
 def hop_freely(
@@ -65,12 +66,13 @@ def hop_with_limits(
     line = hop_basins(climber, start, rng, most, _LATER * kinds, note, _FIRST * kinds, optima)
     best = climber.with_certificate(line.best)
     much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
-    doubted = len(others) if much_better else int(line.returned)
+    doubted = len(others) if much_better else int(line.returned >= _WIDE)
     for moved, other in enumerate(sorted(others, key=rank, reverse=True)):
         if climber.problem.exhausted or (moved >= doubted and climber.certified(best)):
             break
         found = hop_basins(climber, other, rng, most, 2 * kinds, note, optima=optima).best
-        best = climber.with_certificate(found) if better(found.score, best.score) else best
+        if better(found.score, best.score):
+            best = climber.with_certificate(hop_basins(climber, found, rng, most, 3 * kinds, note, optima=optima).best)
     return best
 
 
@@ -110,7 +112,7 @@ def hop_basins(
             break
         if improved and optima is not None:
             optima.append(best.score)
-    return HoppedLine(best, returned == _RETURNED)
+    return HoppedLine(best, returned)
 
 
 def _same(one: Score, other: Score, share: float = _SAME) -> bool:
