@@ -16,7 +16,7 @@ from gbid.control.tuning.search.sqp import LocalOptimum
 Note = Callable[[str, Score], None]
 _HOPPED = 2
 """Number of different designs for basin hopping; the best one before it need not be the best one after it."""
-_FIRST, _LATER = 8, 4
+_FIRST, _LATER = 12, 4
 """Number of random moves of each size with limits until the first improvement, and after an improvement."""
 _PROGRESS = 3e-4
 """Relative gain of a random move below which it counts as in vain."""
@@ -28,7 +28,7 @@ _KNOWN = 3e-4
 """Relative difference of values of two lines of random moves that count as the same optimum."""
 _SAME = 1e-4
 """Relative difference of values after random moves that count as the same optimum."""
-_WIDE, _RETURNED = 3, 5
+_WIDE, _RETURNED = 3, 8
 """Number of random moves to the same optimum, the shortest moves not counted, from which on its basin counts as wide,
 and after which no more moves are made."""
 
@@ -57,7 +57,7 @@ def hop_with_limits(
     """Move the best design at random, then other ones where the best one cannot be trusted.
 
     All others where it has no certificate, or where the moves made it much better: the first climbs had stalled, so
-    their order says little. One other where the moves came back: the basin is wide, but a better one may lie far off.
+    their order says little. One other where the moves came back or led nowhere: a better one may lie far off.
     """
     kinds = len(climber.hop_sizes)
     start = best_of(finals)
@@ -66,7 +66,8 @@ def hop_with_limits(
     line = hop_basins(climber, start, rng, most, _LATER * kinds, note, _FIRST * kinds, optima)
     best = climber.with_certificate(line.best)
     much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
-    doubted = len(others) if much_better else int(line.returned >= _WIDE)
+    stuck = line.returned >= _WIDE or _same(best.score, start.score, _OTHER)
+    doubted = len(others) if much_better else int(stuck)
     for moved, other in enumerate(sorted(others, key=rank, reverse=True)):
         if climber.problem.exhausted or (moved >= doubted and climber.certified(best)):
             break
