@@ -130,6 +130,10 @@ def main() -> None:
         app(prog_name="gbid")
     except KeyboardInterrupt:  # outside of a verb: while the command line is read
         sys.exit(130)
+    finally:
+        # An interruption within code that is executed from text, as where a dataclass is made, leaves a mark by which
+        # Python ends as killed by SIGINT although the interruption was handled. The next code from text removes it.
+        exec("")
 
 
 if __name__ == "__main__":

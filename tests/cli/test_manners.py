@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import textwrap
 import time
 import weakref
 
@@ -178,6 +179,26 @@ def test_a_signal_that_casadi_forgets_comes_again(number, capsys):
     assert end.value.exit_code == 130
     assert capsys.readouterr().err == "gbid: interrupted; complete results are kept\n"
     assert signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+
+
+def test_an_interruption_while_a_dataclass_is_made_is_one(tmp_path):
+    """Python marks an interruption within code from text, and would end a module that was run as killed by SIGINT."""
+    program = """
+        import gbid.cli.main as command
+
+        def app(prog_name):
+            try:
+                exec("raise KeyboardInterrupt")
+            except KeyboardInterrupt:
+                raise SystemExit(130)
+
+        command.app = app
+        command.main()
+    """
+    (tmp_path / "interrupted.py").write_text(textwrap.dedent(program))
+    path = os.pathsep.join([str(tmp_path), *sys.path])
+    ended = subprocess.run([sys.executable, "-m", "interrupted"], env=os.environ | {"PYTHONPATH": path}, check=False)
+    assert ended.returncode == 130
 
 
 def test_a_failure_in_the_place_of_an_interruption_is_one(capsys):
