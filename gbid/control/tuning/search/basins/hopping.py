@@ -35,10 +35,11 @@ and after which no more moves are made."""
 
 @dataclass(frozen=True)
 class HoppedLine:
-    """Best design of a line of random moves, and how many of the longer moves came back to it."""
+    """Best design of a line of random moves, how many longer moves came back to it, and the optima on the way."""
 
     best: LocalOptimum
     returned: int
+    optima: tuple[Score, ...]
 
 
 def hop_freely(
@@ -62,8 +63,8 @@ def hop_with_limits(
     kinds = len(climber.hop_sizes)
     start = best_of(finals)
     others = [one for one in finals if abs(one.score.value - start.score.value) > _OTHER * abs(start.score.value)]
-    optima: list[Score] = []
-    line = hop_basins(climber, start, rng, most, _LATER * kinds, note, _FIRST * kinds, optima)
+    line = hop_basins(climber, start, rng, most, _LATER * kinds, note, first=_FIRST * kinds)
+    known = line.optima
     best = climber.with_certificate(line.best)
     much_better = best.score.value - start.score.value > _STALLED * abs(start.score.value)
     stuck = line.returned >= _WIDE or _same(best.score, start.score, _OTHER)
@@ -71,9 +72,12 @@ def hop_with_limits(
     for moved, other in enumerate(sorted(others, key=rank, reverse=True)):
         if climber.problem.exhausted or (moved >= doubted and climber.certified(best)):
             break
-        found = hop_basins(climber, other, rng, most, 2 * kinds, note, optima=optima).best
-        if better(found.score, best.score):
-            best = climber.with_certificate(hop_basins(climber, found, rng, most, 3 * kinds, note, optima=optima).best)
+        line = hop_basins(climber, other, rng, most, 2 * kinds, note, known)
+        known += line.optima
+        if better(line.best.score, best.score):
+            line = hop_basins(climber, line.best, rng, most, 3 * kinds, note, known)
+            known += line.optima
+            best = climber.with_certificate(line.best)
     return best
 
 
@@ -84,17 +88,17 @@ def hop_basins(
     most: int,
     in_vain: int,
     note: Note,
+    known: tuple[Score, ...] = (),
     first: int = 0,
-    optima: list[Score] | None = None,
 ) -> HoppedLine:
     """Move a design at random and optimise again, until a number of moves in a row gave no improvement.
 
-    Until the `first` improvement more of them may be in vain: where one move of five leads to a better design, ten in a
-    row miss it once in ten times. With limits, fewer moves are enough when several of them come back to the same
-    optimum, or when one leads to one of the known `optima`, to which the optima of this line are added.
+    Before any improvement `first` moves may be in vain, if that is more: where one move of five leads to a better
+    design, ten in a row miss it once in ten times. With limits, fewer moves are enough when several of them come back
+    to the same optimum, or when one leads to an optimum that is known from another line.
     """
     vain = returned = 0
-    known = list(optima or ())
+    optima: list[Score] = []
     for i in range(most):
         enough = vain >= (in_vain if vain < i else max(first, in_vain))
         if enough or returned == _RETURNED or climber.problem.exhausted:
@@ -111,9 +115,9 @@ def hop_basins(
         note("basin hopping", best.score)
         if improved and any(_same(best.score, one, _KNOWN) for one in known):
             break
-        if improved and optima is not None:
+        if improved:
             optima.append(best.score)
-    return HoppedLine(best, returned)
+    return HoppedLine(best, returned, tuple(optima))
 
 
 def _same(one: Score, other: Score, share: float = _SAME) -> bool:
