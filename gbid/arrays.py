@@ -1,4 +1,4 @@
-"""Types of arrays, for annotations, and the check of a number."""
+"""Types of arrays, for annotations, and checks of numbers."""
 
 from __future__ import annotations
 
@@ -17,3 +17,8 @@ BoolArray = npt.NDArray[np.bool_]
 def is_finite(value: object) -> TypeGuard[float]:
     """Return whether a value is one finite number; text, None, flags and lists are not."""
     return isinstance(value, int | float | np.integer | np.floating) and not isinstance(value, bool) and isfinite(value)
+
+
+def is_whole(value: object, least: int) -> bool:
+    """Return whether a value is one whole number of at least some size; flags are not."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool) and int(value) >= least

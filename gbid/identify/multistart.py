@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.arrays import BoolArray, FloatArray
+from gbid.arrays import BoolArray, FloatArray, is_whole
 from gbid.brief import Brief, Description, brief
 from gbid.errors import DataError, NoValueAtStartError, UsageError
 from gbid.identify.fit import fit
@@ -123,7 +123,7 @@ def fit_multistart(
         When `starts` is no whole number of at least 1, `reach` is not finite and positive, or a parameter has no start
         value, and for the errors of `fit`.
     """
-    if not isinstance(starts, int | np.integer) or starts < 1:
+    if not is_whole(starts, 1):
         raise UsageError(f"starts = {starts!r}; give a whole number of at least 1")
     if not isinstance(reach, float | int | np.number) or not 0 < reach < np.inf:
         raise UsageError(f"reach = {reach!r}; give a finite positive number, such as 0.5 for +-50 % of the start")

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from gbid.arrays import is_finite
+from gbid.arrays import is_finite, is_whole
 from gbid.errors import UsageError
 
 
@@ -37,7 +37,7 @@ class Lowpass:
         """
         if not (is_finite(self.corner_hz) and self.corner_hz > 0):
             raise UsageError(f"{where}: lowpass_hz = {self.corner_hz!r}; give a positive number of Hz")
-        if not isinstance(self.order, int | np.integer) or self.order < 0:
+        if not is_whole(self.order, 0):
             raise UsageError(f"{where}: order = {self.order}; it must be a whole number, at least 0")
 
     def matrices(self) -> tuple[Any, Any, Any, Any]:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, is_whole
 from gbid.control.tuning.gain_result import GainResult, GainStatus, WorstMode
 from gbid.control.tuning.search.basins.ranking import FEASIBLE
 from gbid.control.tuning.search.global_search import Effort, Progress
@@ -141,8 +141,7 @@ def check_counts(seed: int, starts: int | None, evaluations: int | None = None) 
         When one of them is.
     """
     for name, value, least in (("seed", seed, 0), ("starts", starts, 0), ("evaluations", evaluations, 1)):
-        wrong = isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least
-        if wrong and (value is not None or name == "seed"):
+        if not is_whole(value, least) and (value is not None or name == "seed"):
             raise UsageError(f"{name} = {value!r}; give an integer of at least {least}")
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from gbid.arrays import FloatArray
+from gbid.arrays import FloatArray, is_whole
 from gbid.brief import Brief
 from gbid.errors import UsageError
 from gbid.lpv import TERMS, basis
@@ -64,7 +64,7 @@ class Uncertainty(Brief):
                         f"uncertainty: {name} has shape {matrix.shape}; give finite and symmetric {(size, size)}"
                     )
             for name, value, least in (("draws", self.draws, 1), ("seed", self.seed, 0)):
-                if not isinstance(value, int | np.integer) or value < least:
+                if not is_whole(value, least):
                     raise UsageError(f"uncertainty: {name} = {value!r}; give an integer of at least {least}")
             known = int(self.draws)
         else:

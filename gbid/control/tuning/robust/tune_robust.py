@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from gbid.arrays import FloatArray, is_finite
+from gbid.arrays import FloatArray, is_finite, is_whole
 from gbid.brief import Brief, Description, brief
 from gbid.control.controllers.scheduled import Scheduled, with_schedule
 from gbid.control.controllers.structures import controller_structure
@@ -134,7 +134,7 @@ def tune_robust(
     few worst plants that the probability leaves out. The promise comes from the fresh draws, by an order statistic.
     """
     for name, value, least in (("draws", draws, 10), ("fresh", fresh, 1), ("seed", seed, 0), ("rounds", rounds, 0)):
-        if not isinstance(value, int | np.integer) or value < least:
+        if not is_whole(value, least):
             raise UsageError(f"tune_robust: {name} = {value!r}; give an integer of at least {least}")
     if not (is_finite(probability) and 0.5 <= probability < 1 and is_finite(confidence) and 0 < confidence < 1):
         raise UsageError(
